@@ -13,7 +13,7 @@
 - Other machines: `endpoints` (where buses are), `discovery` (RUN/buses.json, joining a run),
   `security` (TLS or loopback), `keys` (certificates), `doctor` (checks), `metrics_page`.
 - Recordings: `replay`; `reproduce` (the command that repeats a run).
-- `limits`: bounds on what others may send.
+- `limits`: bounds on received data.
 """
 
 from __future__ import annotations

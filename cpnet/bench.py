@@ -28,12 +28,12 @@ from studies.bench_uplink import RateRow, UplinkRow, row_of
 
 RATES_HZ = (10.0, 15.0, 20.0, 24.0, 30.0, 36.0, 42.0, 50.0, 60.0, 75.0, 100.0)
 _SCENARIO = "t_junction"
-_PATIENT_MS = 5_000.0  # nothing is left out for being late: latency shows it instead
+_PATIENT_MS = 5_000.0  # nothing is dropped for being late: latency shows it instead
 
 
 @dataclass(frozen=True, slots=True)
 class UplinkBench:
-    """What is measured. In realtime, links are emulated and `rate_hz` frames come a second."""
+    """Parameters of the benchmark. In realtime, links are emulated at `rate_hz` frames a second."""
 
     policies: tuple[str, ...] = POLICY_CHOICES
     links: tuple[str, ...] = LINK_CHOICES
@@ -118,7 +118,7 @@ def measure_rates(bench: UplinkBench) -> Iterator[RateRow]:
 
 @contextmanager
 def _recorded(bench: UplinkBench) -> Iterator[tuple[Path, Path]]:
-    """Gives a folder for the runs and in it the traffic that all are shown, while they last."""
+    """Context manager: a temporary folder for the runs, with the recorded traffic of all."""
     bench.check()
     with tempfile.TemporaryDirectory(prefix="cpnet-bench-") as name:
         scratch = Path(name)

@@ -1,4 +1,4 @@
-"""`cpnet bench scale`: what a frame of an agent costs as the city grows, all processes together.
+"""`cpnet bench scale`: CPU time of a frame of an agent, over all processes, by size of the city.
 
 Each case is `cpnet up grid` in lockstep with all its processes; the CPU time of each is read from
 the operating system while the run goes on, so that starting and warming up do not count.
@@ -42,7 +42,7 @@ _SELF = "supervisor"
 
 @dataclass(frozen=True, slots=True)
 class ScaleBench:
-    """What is measured: square numbers of junctions, each with a post, for so long."""
+    """Parameters of the benchmark: square numbers of junctions, each with a post; duration."""
 
     junctions: tuple[int, ...]
     duration_s: float
@@ -107,7 +107,7 @@ class ScaleRow(JsonRow):
 
 
 def measure_scale(bench: ScaleBench) -> Iterator[ScaleRow]:
-    """Yields a row for each size, the first with what its parts cost.
+    """Yields a row for each size, the first with the cost of its parts.
 
     Raises:
         ConfigError: what is asked for cannot be measured, or a run failed.
@@ -226,7 +226,7 @@ _EDGE_STAGES = ("decode", "place", "check", "merge", "ground", "detect", "fuse",
 
 
 def _parts_ms(bench: ScaleBench, junctions: int, folder: Path) -> dict[str, float]:
-    """Returns what casting, encoding and the edge take for a frame of an agent, in one process."""
+    """Returns the time of casting, encoding and the edge for a frame of an agent."""
     folder.mkdir()
     run_in_process(load("grid", bench.overrides(junctions)).model_dump(mode="json"), folder)
     with Run(folder) as run:
@@ -243,7 +243,7 @@ def _parts_ms(bench: ScaleBench, junctions: int, folder: Path) -> dict[str, floa
 
 
 def print_scale(rows: list[ScaleRow], console: Console) -> None:
-    """Prints a line for each size, what it is compared with, what a large city would take."""
+    """Prints a line for each size, a comparison, and an extrapolation to a large city."""
     roles = list(dict.fromkeys(role for row in rows for role in row.core_ms_by_role))
     heads = ["junctions", "regions", "agents", "CAVs", "frames", "x real time", "core-ms", "ratio"]
     table = empty_table([*heads, *roles, "MB a CAV"])

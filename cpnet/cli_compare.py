@@ -20,8 +20,8 @@ from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
 
 compare_app = typer.Typer()
-_KNOWN_RUNS = 5  # tell how long others take
-_SCENARIO = "t_junction"  # whose defaults all keys have that no option sets
+_KNOWN_RUNS = 5  # from which the time of others is estimated
+_SCENARIO = "t_junction"  # whose defaults apply to keys that no option sets
 
 
 @compare_app.command("compare")
@@ -164,7 +164,7 @@ class CompareProgress:
             errors.print("stopped; finished runs are kept: the same command goes on with the rest")
 
     def report(self, done: int, total: int, last: str) -> None:
-        """Takes that a run is done; without a name, that a stage begins."""
+        """Updates after a run is done; without a name, when a stage begins."""
         if not last:
             if self._name:
                 count, work = self._stages[self._name]

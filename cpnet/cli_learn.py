@@ -109,7 +109,7 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
 
 
 class TrackFormat(StrEnum):
-    """Where tracks are read from."""
+    """Format of tracks to read."""
 
     run = "run"
     kitti = "kitti"

@@ -1,4 +1,4 @@
-"""What commands share: where they print, options that several have."""
+"""Shared code of commands: output, and common options."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def show_measured(
     *,
     as_json: bool,
 ) -> None:
-    """Prints rows once all are there; if something ends it before, those that are."""
+    """Prints all rows at the end; if interrupted, those measured so far."""
     done: list[R] = []
     try:
         for row in track(rows, "measuring", total, console=errors, transient=True):

@@ -95,7 +95,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
     own = net or sumocfg
     if own is not None:
         named["name"] = _run_name(own)
-        if scenario == _DEFAULT:  # the policy of which is that of its paper
+        if scenario == _DEFAULT:  # whose policy is that of the paper
             named["signal.policy"] = "predictive"
     overrides: dict[str, Any] = {k: v for k, v in named.items() if v is not None}
     overrides |= assigned(set_)
@@ -109,7 +109,7 @@ def up_command(  # noqa: PLR0913 - one parameter per option of the command
 
 
 def _run_name(file: Path) -> str:
-    """Returns a name for runs of a file: what of its own a scenario's name may hold."""
+    """Returns a name for runs of a file: its own, without characters that names may not have."""
     return re.sub(r"[^A-Za-z0-9_-]", "_", file.name.split(".")[0])[:80] or "own"
 
 
@@ -234,7 +234,7 @@ def replay_command(  # noqa: PLR0913 - one parameter per option of the command
 
 
 def _say_boxes(run_dir: Path, boxes: Path | None, sensor_poses: Floats) -> None:
-    """Says how many boxes were found, and writes them if asked to."""
+    """Prints how many boxes were found, and writes them on request."""
     if not (run_dir / "run.sqlite").is_file():  # the role record runs elsewhere
         return
     from studies.box_files import count_boxes, write_boxes

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 study_app = typer.Typer()
 REPORT = "report.html"  # in the folder of results
-_SCENARIO = "t_junction"  # whose defaults controls with perception have
+_SCENARIO = "t_junction"  # whose defaults apply to controls with perception
 
 
 @study_app.command("study")
@@ -125,10 +125,10 @@ def _run_control(
     as_json: bool,
     elsewhere: bool,
 ) -> None:
-    """Runs what is missing of such a study; then prints and writes its tables.
+    """Runs the missing runs of such a study; then prints and writes its tables.
 
     Raises:
-        ConfigError: it is to run `elsewhere` or to keep what it does not have.
+        ConfigError: it is to run `elsewhere` or to keep run folders, which it does not make.
     """
     if elsewhere:
         raise ConfigError(f"study {study.name}: goes with none of --scheduler, --keep-runs, --tls")
@@ -176,7 +176,7 @@ def _run(
     *,
     keep_runs: bool,
 ) -> list[Failure]:
-    """Runs what is missing; returns what failed."""
+    """Runs the missing cells; returns those that failed."""
     with explained_if_missing():
         from studies.sweep.cluster import local, remote, usable_cores
         from studies.sweep.engine import Engine, ProgressDisplay, missing
@@ -236,7 +236,7 @@ def _page(
     cells: list[Cell],
     store: ResultStore,
 ) -> Page:
-    """Returns the report of a study, with what was set on the command line.
+    """Returns the report of a study, with the settings of the command line.
 
     Args:
         study: as it was run.
@@ -300,7 +300,7 @@ def seeds_of(text: str | None) -> list[int]:
 
 @contextmanager
 def explained_if_missing() -> Iterator[None]:
-    """Says what to install where a library of studies is missing."""
+    """Raises with install instructions where a library of studies is missing."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -1,9 +1,9 @@
-"""Numba's functions, compiled ahead: once for each version of cpnet and kind of CPU, on all cores.
+"""Ahead-of-time compilation of Numba functions: once per cpnet version and CPU, on all cores.
 
 Numba compiles a module's functions when the module is imported, and keeps them beside it or, where
 that may not be written, in the user's cache. One process after the other that would take minutes,
 so modules are imported by several processes, each as soon as those it imports are done. A stamp in
-the user's cache says which files have been compiled.
+the user's cache lists the files that have been compiled.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _LOCK = "compiling.lock"
 
 
 def compile_ahead(console: Console | None = None) -> int:
-    """Compiles what runs need and is not compiled yet; returns how many modules.
+    """Compiles the functions that runs need, unless compiled; returns how many modules.
 
     Without a console it prints to standard error. Only the main process of a program compiles.
 
@@ -63,7 +63,7 @@ def compile_ahead(console: Console | None = None) -> int:
     if not _missing(folder, stamps):
         return 0
     with (folder / _LOCK).open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # another start may be compiling the same
+        fcntl.flock(lock, fcntl.LOCK_EX)  # another process may be compiling the same
         return _compile_missing(folder, stamps, console)
 
 
@@ -85,7 +85,7 @@ def _compile_missing(folder: Path, stamps: dict[str, str], console: Console) -> 
 
 @contextmanager
 def _progress(console: Console, total: int) -> Iterator[Callable[[], object]]:
-    """Shows how many are done: in place on a terminal, else by a line for each tenth module."""
+    """Shows progress: in place on a terminal, else by a line for each tenth module."""
     if console.is_terminal:
         columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn()
         with Progress(*columns, console=console, transient=True) as bar:
@@ -138,7 +138,7 @@ def _ending_processes() -> Iterator[None]:
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Blocks Ctrl-C; processes that are started meanwhile never hear it."""
+    """Blocks Ctrl-C; processes that are started meanwhile never receive it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -147,7 +147,7 @@ def _without_interrupts() -> Iterator[None]:
 
 
 def _weight(module: str) -> int:
-    """Returns how long a module may take, roughly: the longest go first."""
+    """Estimates the compile time of a module: the longest go first."""
     return _file_of(module).stat().st_size
 
 
@@ -188,7 +188,7 @@ def _imported(module: str) -> frozenset[str]:
 
 @cache
 def _imports_of(module: str) -> tuple[str, ...]:
-    """Returns what its import imports: not what functions or type checkers do."""
+    """Returns a module's imports at the top level: not those of functions or type checkers."""
     tree = ast.parse(_file_of(module).read_text("utf-8"))
     return tuple(name for node in tree.body for name in _names(node) if _is_own(name))
 
@@ -211,7 +211,7 @@ def _file_of(module: str) -> Path:
 
 
 def _stamp_file(folder: Path) -> Path:
-    """Returns where the stamp is: one for all that compiled code depends on besides its source."""
+    """Returns the stamp's path: one for each combination that compiled code depends on."""
     import llvmlite.binding as llvm  # names the CPU as Numba does
 
     facts = [
@@ -246,7 +246,7 @@ def _cache_folder() -> Path:
     """Returns a folder for the stamp; where Numba would find none for its files, it gets one.
 
     Raises:
-        ConfigError: there is none that only this user may write.
+        ConfigError: no folder is writable by this user alone.
     """
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     homes = [Path(chosen)] if chosen else [_user_cache() / "cpnet"]
@@ -258,7 +258,7 @@ def _cache_folder() -> Path:
     folder = Path(tempfile.gettempdir()) / f"cpnet-cache-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
-    found = folder.lstat()  # what is kept there is run: nobody else may have written it
+    found = folder.lstat()  # files there are executed: only this user may have written them
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
         raise ConfigError(f"{folder} is another user's: set NUMBA_CACHE_DIR to a folder of yours")
     if not os.access(ROOT / "protocol", os.W_OK):

@@ -1,4 +1,4 @@
-"""Finding a run: RUN/buses.json says where its buses are; joining waits for a world elsewhere."""
+"""Run discovery: RUN/buses.json holds the endpoints; joining waits for a world elsewhere."""
 
 from __future__ import annotations
 
@@ -144,11 +144,11 @@ def _age_ns(path: Path) -> int:
 
 JOIN_TIMEOUT_S = 60.0
 TELL_S = 1.0
-FIRST_OPEN_MS, LONGEST_OPEN_MS = 400, 3_200  # nothing else, no signal either, is dealt with then
+FIRST_OPEN_MS, LONGEST_OPEN_MS = 400, 3_200  # meanwhile nothing else, no signal either, is handled
 ASK_S = 2.0
 PRESENCE_S = 0.5
 POLL_S = 0.1
-LOST_S = 25.0  # the token of a machine that was lost stands for the lease of 20 s
+LOST_S = 25.0  # the liveliness token of a lost machine stays for the lease of 20 s
 
 
 class WaitingTime:
@@ -162,10 +162,10 @@ class WaitingTime:
         self._is_reported = self._is_over = False
 
     def wait(self, why: BusError) -> None:
-        """Lets a moment pass.
+        """Sleeps for a moment.
 
         Raises:
-            BusError: the one that was given; the time is over.
+            BusError: the given one, once the time is over.
         """
         waited_s = time.monotonic() - self._began_s
         if waited_s >= TELL_S and not self._is_reported:
@@ -192,10 +192,10 @@ class WorldConnection:
         self._wait_forever = wait_forever
 
     def setup(self) -> Setup:
-        """Returns what every process of the run is given.
+        """Returns the run's setup.
 
         Raises:
-            BusError: nobody served it in time, or they speak another version of the protocol.
+            BusError: no process served it in time, or all speak another version of the protocol.
             ProtocolError: the reply is no setup.
         """
         what = f"the world: nobody at {_place(self._endpoint)} tells the setup of a run"

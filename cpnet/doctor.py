@@ -41,7 +41,7 @@ SUMO_LIBRARIES = {
     "libXrender.so.1": "libxrender1",
     "libGL.so.1": "libgl1",
 }
-"""What SUMO's wheels link to but do not bring: shared library to Debian and Ubuntu package."""
+"""Libraries that SUMO's wheels link to but do not bring: by name, the Debian/Ubuntu package."""
 
 OPEN3D_LIBRARIES = {
     "libusb-1.0.so.0": "libusb-1.0-0",
@@ -57,7 +57,7 @@ def missing_packages() -> list[str]:
 
 
 def libraries() -> list[Finding]:
-    """Looks for the system libraries of SUMO and of Open3D, and for Open3D itself."""
+    """Checks the system libraries of SUMO and of Open3D, and Open3D itself."""
     user = "Open3D (edge.detector=reference)"
     found = [
         _of("sumo_libraries", "SUMO", SUMO_LIBRARIES, optional=bool(lacking(SUMO))),
@@ -93,7 +93,7 @@ def _loads(library: str) -> bool:
 
 
 def send_buffer() -> list[Finding]:
-    """Looks whether a socket takes a whole scan."""
+    """Checks whether a socket's send buffer takes a whole scan."""
     with socket.socket() as asked:
         asked.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
         granted = asked.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF) // 2  # Linux doubles it
@@ -127,7 +127,7 @@ TRIAL_TIMEOUT_S = 15
 
 
 def sumo_runs() -> list[Finding]:
-    """Has SUMO simulate a step, where it is installed."""
+    """Checks that SUMO, where it is installed, simulates a step."""
     if lacking(SUMO):
         return [_absent("sumo", "SUMO", "sim", "the role sim")]
     command = [sys.executable, "-m", "sim_host.sumo"]
@@ -164,7 +164,7 @@ _HOSTS = {row.role for row in ROLES if row.hosts}
 
 
 def certificates(folder: Path) -> Iterator[Finding]:
-    """Looks through all that is there."""
+    """Checks all certificates of a folder."""
     names = sorted(path.stem for path in folder.glob("*.pem") if path.name != AUTHORITY)
     if not names:
         advice = f"--keys {folder}: there is none; `cpnet keys` makes them"
@@ -175,7 +175,7 @@ def certificates(folder: Path) -> Iterator[Finding]:
 
 
 def _exposed(folder: Path) -> Iterator[Finding]:
-    """Tells of private keys that any user can read, and of the authority's beside machine's."""
+    """Finds private keys that any user can read, and the CA's key beside a machine's."""
     for path in sorted(folder.glob("*.key")):
         if path.stat().st_mode & stat.S_IROTH:
             advice = f"any user of this machine can read it: chmod o-rwx {path}"
@@ -216,7 +216,7 @@ IMPLIED = "(one port above the V2X bus; give world=HOST:PORT if it is elsewhere)
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What is looked at, for so long at most."""
+    """A check and its time limit."""
 
     name: str
     look: Callable[[], Iterable[Finding]]
@@ -230,7 +230,7 @@ CHECKS = (
     Check("bus_on_loopback", bus_on_loopback),
     Check("send_buffer", send_buffer, optional=True),
 )
-"""In the order in which they are printed."""
+"""The checks, in the order in which they are printed."""
 
 
 def examine() -> list[Finding]:
@@ -239,12 +239,12 @@ def examine() -> list[Finding]:
 
 
 def examine_keys(folder: Path) -> list[Finding]:
-    """Looks through the certificates of a folder."""
+    """Runs the checks of the certificates of a folder."""
     return carry_out(Check("certificates", partial(certificates, folder)))
 
 
 def examine_buses(places: Mapping[BusName, Endpoint], *, implied: bool = False) -> list[Finding]:
-    """Asks the buses that are reached so; `implied` if the user did not name the world bus."""
+    """Checks the buses at these endpoints; `implied` if the user did not name the world bus."""
     checks = [
         Check(f"{bus.value}_bus", partial(examine_bus, bus, endpoint), REMOTE_S)
         for bus, endpoint in places.items()
@@ -268,7 +268,7 @@ def carry_out(check: Check) -> list[Finding]:
         try:
             for finding in check.look():
                 found.append(finding)  # noqa: PERF402 - those before an error are wanted too
-        except Exception as error:  # noqa: BLE001 - whatever it is, the others are to be seen
+        except Exception as error:  # noqa: BLE001 - whatever it is, show the other findings
             found.append(_failed(check, f"failed: {type(error).__name__}: {error}"))
 
     worker = threading.Thread(target=work, daemon=True)

@@ -1,4 +1,4 @@
-"""`cpnet doctor --connect`: the buses of other machines, as far as they answer."""
+"""`cpnet doctor --connect`: checks of the buses of other machines."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ HOSTS = {BusName.V2X: ROUTER, BusName.WORLD: WORLD_HOST}
 
 
 def reach(bus: BusName, locator: str) -> Finding:
-    """Connects and hangs up."""
+    """Checks that a TCP connection can be made."""
     host, port = address_of(locator)
     what, check = f"the {bus.value} bus at {host}:{port}", f"{bus.value}_reached"
     began_ns = time.monotonic_ns()
@@ -66,7 +66,7 @@ _WITH_KEYS = (
 
 @dataclass(frozen=True, slots=True)
 class RemoteClock:
-    """The world's clock as seen from here."""
+    """Offset of the world's clock, measured from here."""
 
     is_here: bool
     offset_ns: int
@@ -75,13 +75,13 @@ class RemoteClock:
 
 
 def examine_bus(name: BusName, endpoint: Endpoint) -> Iterator[Finding]:
-    """Goes as far as the other side answers."""
+    """Checks a bus step by step, as far as the other side answers."""
     reached = reach(name, endpoint.locator)
     yield reached
     if not reached.ok:
         return
     try:
-        # Opened as the world's, whichever it is meant to be: only the world's host serves the time.
+        # Opened as the world bus, whichever it should be: only the world's host serves the time.
         bus = open_bus(BusName.WORLD, endpoint, Inbox(), ZENOH_MS)
     except BusError:
         advice = _WITH_KEYS if endpoint.keys else _PLAIN

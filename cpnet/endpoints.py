@@ -1,4 +1,4 @@
-"""Where the two buses are: from `--listen` and `--connect`, or free ports on loopback."""
+"""Endpoints of the two buses: from `--listen` and `--connect`, or free ports on loopback."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def resolve(
 
     `HOST:PORT` means the V2X bus at PORT and the world bus at PORT + 1; `v2x=HOST:PORT` and
     `world=HOST:PORT` name one of them. A bus whose router would run here may be on a Zenoh router
-    elsewhere instead: then `--connect` names its place.
+    elsewhere instead: then `--connect` names its address.
 
     Raises:
         ConfigError: a locator cannot be read, a bus has no place, or a port is in use.
@@ -49,7 +49,7 @@ def resolve(
 
 
 def connecting(endpoint: Endpoint) -> Endpoint:
-    """Returns how another process of this machine reaches the same bus."""
+    """Returns the endpoint by which another process of this machine connects to the same bus."""
     locator = endpoint.locator.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
     return replace(endpoint, locator=locator, listen=False)
 
@@ -76,7 +76,7 @@ def places(option: str, texts: list[str], protocol: str = "tcp") -> dict[BusName
 
 
 def implies_world(texts: list[str]) -> bool:
-    """Whether the world bus is looked for one port above another that was named."""
+    """Whether the world bus is implied to be one port above the named one."""
     matches = [match for text in texts if (match := _LOCATOR.fullmatch(text))]
     buses = [match["bus"] for match in matches if match["bus"] != BusName.V2X.value]
     return bool(buses) and buses[-1] is None

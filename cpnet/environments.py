@@ -1,12 +1,12 @@
-"""Signal control on what is perceived, as environments of Gymnasium and PettingZoo.
+"""Reinforcement learning environments of signal control: Gymnasium and PettingZoo.
 
     env = cpnet.environments.SignalEnv("t_junction", traffic={"cav_rate": 0.1})
     observation, info = env.reset(seed=1)
     observation, reward, terminated, truncated, info = env.step(0)
 
-An action is a green of the signal; the cabinet keeps minimum green, yellow and all-red, whatever is
-asked. Observation and reward come from lane counts, as any controller of cpnet has them: what no
-sensor covers is not in them. Truth is in `info` and, after an episode, in `run`.
+An action is a green of the signal; the cabinet enforces minimum green, yellow and all-red, whatever
+is requested. Observation and reward come from lane counts, as for any controller of cpnet: vehicles
+that no sensor covers are not in them. Truth is in `info` and, after an episode, in `run`.
 
 Importing it raises ConfigError where the extra `rl` is not installed.
 """
@@ -54,7 +54,7 @@ class Junction:
 
     @property
     def names(self) -> list[str]:
-        """What each number of an observation (N,) is.
+        """Names of the numbers of an observation (N,).
 
         Vehicles, queued vehicles and the covered share of each lane before the stop bars; vehicles
         of each lane behind the junction; then 1 for the green that is shown or coming, 0 for the
@@ -86,7 +86,7 @@ class Junction:
         return np.array([*values, float(shown.stage != "green")], np.float32)
 
     def queued(self, frame: SimulatedFrame) -> int:
-        """Returns how many vehicles are seen to stand before the stop bars."""
+        """Returns how many stationary vehicles are counted before the stop bars."""
         return sum(frame.counts[self.signal.tls].stationary_upstream.values())
 
     def truly_queued(self, frame: SimulatedFrame, stationary_mps: float) -> int:
@@ -97,7 +97,7 @@ class Junction:
 
 
 class Episodes:
-    """Episodes of a scenario, each a run of its own seed; signals show what `wanted` says."""
+    """Episodes of a scenario, each a run of its own seed; `wanted` are the requested greens."""
 
     def __init__(self, scenario: Scenario, decision_s: float, overrides: Mapping[str, Any]) -> None:
         self._scenario = scenario
@@ -131,7 +131,7 @@ class Episodes:
         return next(self._frames)
 
     def check_on(self) -> None:
-        """Checks that an episode goes on.
+        """Checks that an episode is running.
 
         Raises:
             ConfigError: none has begun, or it is over.
@@ -142,7 +142,7 @@ class Episodes:
             raise ConfigError("the episode is over: call reset()")
 
     def advance(self) -> list[SimulatedFrame]:
-        """Returns the frames until the next decision; fewer, or none, where the episode ends."""
+        """Returns the frames until the next decision; fewer, or none, at the episode's end."""
         self.check_on()
         assert self._frames is not None
         frames: list[SimulatedFrame] = []
@@ -197,9 +197,9 @@ def _checked(action: object, space: Discrete, tls: str) -> int:
 class SignalEnv(gymnasium.Env[Values, np.int64]):
     """A Gymnasium environment of one signal.
 
-    The reward of a step is minus the queued vehicles that were seen, mean over its frames. An
+    The reward of a step is minus the number of counted queued vehicles, mean over its frames. An
     episode is truncated after the scenario's `duration_s`; the seed of `reset` is that of its
-    traffic. `run` has what happened in the episode that has just ended.
+    traffic. `run` is the recorded run of the episode that has just ended.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - Gymnasium's own
@@ -274,7 +274,7 @@ def _info(junction: Junction, frame: SimulatedFrame, stationary_mps: float) -> d
 
 
 class JunctionsEnv(ParallelEnv[str, Values, int]):
-    """The same for several signals, as PettingZoo's parallel API: an agent is a signal's id."""
+    """A PettingZoo parallel environment of several signals: an agent is a signal's id."""
 
     metadata: dict[str, Any] = {"name": "cpnet_junctions", "render_modes": []}  # noqa: RUF012
 

@@ -1,4 +1,4 @@
-"""`cpnet eval`: samples of a dataset, or of the user's net, for the study to measure on."""
+"""`cpnet eval`: measures detectors on samples of a dataset, or of the user's net."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where samples come from: a dataset's split, or a net with a signal."""
+    """Source of samples: a dataset's split, or a net with a signal."""
 
     dataset: Path | None
     net: Path | None
@@ -30,7 +30,7 @@ class Source:
         """Returns how many samples there are, and the samples with their sites.
 
         Raises:
-            ConfigError: here or on the way: there is no such source, or it cannot be read.
+            ConfigError: here or while iterating: there is no such source, or it cannot be read.
         """
         if self.net is not None:
             if self.dataset is not None:

@@ -43,7 +43,7 @@ class ExitReport:
 
 
 def describe_status(status: int) -> str:
-    """Returns what an exit status says, as the end of a sentence."""
+    """Returns an exit status in words, as the end of a sentence."""
     if status == UNKNOWN_STATUS:
         return "ended, and the fork server that would know how had gone"
     if status >= 0:
@@ -70,7 +70,7 @@ def log_tail(path: Path, lines: int = TAIL_LINES) -> str:
 
 
 def _instead_of(path: Path, error: OSError, lines: int) -> str:
-    """Says why there is no log: who ends before it has one is heard by the fork server."""
+    """Explains a missing log: early output of a process is in the fork server's log."""
     other = path.with_name(LOG_NAME)
     if path == other or not other.is_file():
         return f"(no log: {error})"
@@ -78,7 +78,7 @@ def _instead_of(path: Path, error: OSError, lines: int) -> str:
 
 
 def _why_empty(folder: Path) -> str:
-    """Says why a log is empty: the disk may be full."""
+    """Explains an empty log: the disk may be full."""
     if shutil.disk_usage(folder).free < FULL_BYTES:
         return f"(its log is empty: the disk that holds {folder} is full)"
     return "(its log is empty)"

@@ -1,4 +1,4 @@
-"""What `cpnet doctor` found out: findings, as a table and for programs."""
+"""Findings of `cpnet doctor`, as a table and for programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Measured = Mapping[str, float | str | list[str]]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One check: what was looked at, whether it is well, and what to do if not.
+    """Result of one check: what was checked, whether it is well, and what to do if not.
 
     `check` never changes its name; what was measured stands in `measured`, with its unit. What is
     `absent` is not installed, and not every machine needs it.
@@ -31,7 +31,7 @@ class Finding:
 
     @property
     def is_well(self) -> bool:
-        """Whether a run can do: all is well, or only what it may lack is not."""
+        """Whether a run is possible: all required checks are well."""
         return self.ok or self.optional
 
 

@@ -1,7 +1,7 @@
 """Fork server: one process imports what all roles need, and each role is forked off it.
 
 Imports are most of what a process does before it can take part: a second or two each, on every
-core. Forked, a process starts with them done; `cpnet.fork_server_preload` is imported last.
+core. A forked process starts with them done; `cpnet.fork_server_preload` is imported last.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from protocol.starting import ONE_THREAD
 
 LOG_NAME = "fork-server.log"
 UNKNOWN_STATUS = 255  # of multiprocessing, where the fork server has gone
-STATUS_WAIT_S = 1.0  # the fork server learns of an exit at once
+STATUS_WAIT_S = 1.0  # the fork server is notified of an exit at once
 
 
 class ChildProcess:
@@ -52,12 +52,12 @@ class ChildProcess:
 
     @property
     def pid(self) -> int:
-        """Its number."""
+        """Its process id."""
         return self._process.pid or 0
 
     @property
     def orphaned(self) -> bool:
-        """Whether it runs while the fork server has gone."""
+        """Whether it runs although the fork server has ended."""
         status = self._process.exitcode  # first: a process that has ended since is no orphan
         return status is not None and self.poll() is None
 
@@ -166,7 +166,7 @@ def _printing_to(log: Path) -> Iterator[None]:
 
 @contextmanager
 def _same_path() -> Iterator[None]:
-    """Has what is started meanwhile look for modules where this process does."""
+    """Makes processes that are started meanwhile use this process's module search path."""
     before = _own_path()
     os.environ.update(same_path())
     try:

@@ -4,5 +4,5 @@ import atexit
 import gc
 import os
 
-gc.freeze()  # what was imported stays: no collection of those that are forked off need look at it
+gc.freeze()  # imported objects stay: the garbage collectors of forked processes need not scan them
 atexit.register(os._exit, 0)  # skips the slow teardown of imported modules

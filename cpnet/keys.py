@@ -1,4 +1,4 @@
-"""`cpnet keys`: a test authority, certificates for processes, settings of a Zenoh router."""
+"""`cpnet keys`: a test CA, certificates for processes, settings of a Zenoh router."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from protocol.instances import ROUTER, WORLD_HOST, role_of
 from protocol.topics import ROLES, BusName
 
 HOSTS = (ROUTER, WORLD_HOST)
-"""Processes that others connect to. All others' certificates cannot pass for a bus."""
+"""Processes that others connect to. Only their certificates are valid for a bus's host."""
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")
 AUTHORITY_KEY = "ca.key"
@@ -35,7 +35,7 @@ BACK = timedelta(hours=1)  # machines' clocks differ
 
 
 class Authority:
-    """Signs certificates; its own key never leaves the folder it was made in."""
+    """A certificate authority (CA); its own key never leaves the folder it was made in."""
 
     def __init__(self, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
         self._certificate = certificate
@@ -99,7 +99,7 @@ class Authority:
     def issue(
         self, folder: Path, process_id: str, names: Sequence[str], now: datetime, days: int
     ) -> None:
-        """Writes certificate and key of a process; `names` are those that a host is called by.
+        """Writes certificate and key of a process; `names` are host names and addresses.
 
         Raises:
             ConfigError: the folder cannot be written, or the authority's own time is over.
@@ -126,7 +126,7 @@ class Authority:
 def add_keys(
     folder: Path, ids: Sequence[str], hosts: Sequence[str], days: int, now: datetime | None = None
 ) -> list[str]:
-    """Makes what the folder lacks, the authority included; returns the ids that are new.
+    """Makes missing certificates, the CA included; returns the ids that are new.
 
     Raises:
         ConfigError: the folder holds something else, or an older certificate that does not name
@@ -240,7 +240,7 @@ def members_in(folder: Path) -> Members:
 
 
 def router_config(folder: Path) -> dict[str, Any]:
-    """Returns the settings; where it listens may be changed, the other ones hold the rules."""
+    """Returns the router's settings: its address, which may be changed, and the access rules."""
     config: dict[str, Any] = {"mode": "router", "listen": {"endpoints": [ROUTER_LISTEN]}}
     for path, value in settings_of(Keys.of(folder, ROUTER)).items():
         *parents, last = path.split("/")

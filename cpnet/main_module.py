@@ -1,4 +1,4 @@
-"""The program's own script, which `multiprocessing` runs again at the start of child processes."""
+"""Guards against `multiprocessing` running the program's script again in child processes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ GUARD = 'if __name__ == "__main__":'
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """Has child processes that are started meanwhile not run the program's script again."""
+    """Context manager: child processes started meanwhile do not run the program's script again."""
     own = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -31,7 +31,7 @@ def check_not_again() -> None:
         ConfigError: it is one: what the script does at its top level, each child would do too.
     """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        sys.tracebacklimit = 0  # this process ends by it: the text alone is of use
+        sys.tracebacklimit = 0  # this process ends by it: only the text is useful
         raise ConfigError(guard_needed("a child process runs this script again"))
 
 

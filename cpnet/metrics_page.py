@@ -1,8 +1,8 @@
-"""A run's metrics for Prometheus (`cpnet up --metrics`): what they are, and the page that has them.
+"""A run's metrics for Prometheus (`cpnet up --metrics`): their definitions, and the HTTP page.
 
-They follow from what the supervisor receives on the world bus. What is about one region or one
-signal is labelled so. Labels are bounded, whatever the network sends: a name that is odd or one too
-many counts as `other`.
+They are computed from messages on the world bus that the supervisor receives. Metrics of one region
+or one signal are labelled so. Labels are bounded, whatever the network sends: an invalid name, or
+one beyond the limit, counts as `other`.
 """
 
 from __future__ import annotations
@@ -142,11 +142,11 @@ class RunMetrics:
         self._last_drops.pop(name, None)
 
     def lost(self, drops: Mapping[str, int]) -> None:
-        """Takes what the supervisor itself could not read, since its start."""
+        """Sets the number of messages that the supervisor could not decode since its start."""
         self._count_drops(SUPERVISOR, drops)
 
     def take(self, item: Envelope | Presence) -> None:
-        """Takes what came over the world bus; what is not about the run is ignored."""
+        """Updates by a message of the world bus; other messages are ignored."""
         if isinstance(item, Presence):
             self._take_presence(item)
         elif isinstance(item.message, Progress):
@@ -167,7 +167,7 @@ class RunMetrics:
             self._forget(process)
 
     def _forget(self, process: str) -> None:
-        """Makes room, for anybody may invent processes; what is counted as `other` stays."""
+        """Removes a process's labels, since any process may invent ids; counts of `other` stay."""
         if process == OTHER:
             return
         for metric in (self._uploaded, self._sent, self._drops, self._restarts):
@@ -292,7 +292,7 @@ def _set_age(gauge: Gauge, since_ns: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class MetricsAddress:
-    """Where the page is served."""
+    """Address at which the page is served."""
 
     host: str
     port: int
@@ -306,7 +306,7 @@ class MetricsAddress:
         """Reads `PORT`, which means this machine alone, or `HOST:PORT`.
 
         Raises:
-            ConfigError: it is neither, or nobody can listen there.
+            ConfigError: it is neither, or the address is not available.
         """
         match = _ADDRESS.fullmatch(text)
         if match is None or not 1 <= int(match["port"]) <= 65535:
@@ -324,14 +324,14 @@ class MetricsAddress:
         return address
 
     def unavailable(self, error: OSError | UnicodeError) -> ConfigError:
-        """Returns the error that says why nobody can listen here."""
+        """Returns the error with the reason why the address is not available."""
         why = (error.strerror if isinstance(error, OSError) else None) or error
         return ConfigError(f"--metrics: cannot listen at {self}: {why}; choose another port")
 
 
 @contextmanager
 def serving(address: MetricsAddress) -> Iterator[RunMetrics]:
-    """Serves the metrics of a run meanwhile.
+    """Context manager: serves the metrics of a run.
 
     Raises:
         ConfigError: another process took the address.

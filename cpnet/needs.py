@@ -1,4 +1,4 @@
-"""Whether the packages of a run are installed, asked before anything is compiled or started."""
+"""Checks that the packages of a run are installed, before anything is compiled or started."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OF_DETECTORS = {"reference": (OPEN3D, "reference"), **dict.fromkeys(LEARNED, _L
 
 
 def check_run(choice: RoleSelection, scenario: Scenario, *, detects: bool) -> None:
-    """Checks what the roles of this machine need, the simulator's among them.
+    """Checks the packages that the roles of this machine need, the simulator's among them.
 
     Raises:
         ConfigError: a package is missing; the text says how to install it.
@@ -43,7 +43,7 @@ def check_simulator(*, cuts: bool = False) -> None:
 
 
 def check_detector(name: str) -> None:
-    """Checks what a built-in detector is made with.
+    """Checks the packages of a built-in detector.
 
     Raises:
         ConfigError: a package is missing.

@@ -36,7 +36,7 @@ NOTICE_AFTER_S = 2.0
 
 @contextmanager
 def connecting_to(run: RunLocation, console: Console) -> Iterator[None]:
-    """Prints which run is being connected to, if that takes a while."""
+    """Prints which run is being connected to, if connecting takes a while."""
     where = f"{run.v2x.locator} and {run.world.locator}"
 
     def notify() -> None:
@@ -59,7 +59,7 @@ SETUP_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """Where to: a page at a port, a file, or else a window; so many frames a second at most."""
+    """Output of the viewer: a page at a port, a file, or else a window; its maximum frame rate."""
 
     port: int | None
     save: Path | None
@@ -74,12 +74,13 @@ def view(
     screen: Screen,
     console: Console,
 ) -> None:
-    """Shows a run, or one junction of it, in Rerun until it ends or is told to stop.
+    """Shows a run, or one junction of it, in Rerun until it ends or a signal stops the viewer.
 
     Raises:
-        ConfigError: there is no such run or signal, the extra is missing, or the screen cannot be.
+        ConfigError: there is no such run or signal, the extra is missing, or the output cannot be
+            opened.
         BusError: the run does not answer.
-        ProtocolError: what the run says of itself cannot be read.
+        ProtocolError: the run's setup cannot be decoded.
         CpnetError: the page's server ended, or the file is not whole.
     """
     with needs_extra():
@@ -107,7 +108,7 @@ def view(
             if sink.server is not None and (status := sink.server.poll()) is not None:
                 if sink.stays:
                     raise CpnetError("Rerun, which served the page, has ended; view the run again")
-                if status:  # else somebody closed the window
+                if status:  # else the user closed the window
                     raise CpnetError(
                         f"Rerun's window {describe_status(status)}; --web shows a page"
                     )
@@ -122,7 +123,7 @@ def top(
     *,
     once: bool,
 ) -> None:
-    """Shows a run, or one junction of it, in the terminal until it ends or is told to stop.
+    """Shows a run, or one junction of it, in the terminal until it ends or a signal stops it.
 
     Raises:
         ConfigError: there is no such run, or it has no such signal.
@@ -145,7 +146,7 @@ def top(
 def _attached(
     run: RunLocation, topics: Iterable[str], console: Console
 ) -> Iterator[tuple[Observer, Setup, StopSignals]]:
-    """Until it is attached a signal ends the command as any other; there is nothing to close."""
+    """Attaches an observer; until then a signal ends the command: there is nothing to close."""
     from viewer.live import modest_inbox
 
     with ExitStack() as stack:
@@ -165,7 +166,7 @@ def _attached(
 
 
 def _stop_without(server: subprocess.Popen[bytes], stop: threading.Event) -> None:
-    """Stops when nobody is left who could show anything: a window was closed, a server died."""
+    """Stops when the viewer's process has ended: a window was closed, a server died."""
 
     def wait() -> None:
         server.wait()
@@ -203,19 +204,19 @@ def record_run(
 
     Raises:
         ConfigError: there can be no such file.
-        BusError: a bus is not there, or nobody answers with the setup.
+        BusError: a bus is not there, or does not answer with the setup.
         CpnetError: the disk is full, or fails.
     """
     from recording.mcap.recorder import McapRecorder, recorded_topics
 
     next_path = _next_path(running.run_dir or Path(), STEM, out)
-    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits would stand still as well
+    signal.signal(signal.SIGTSTP, signal.SIG_IGN)  # a run that waits for it would stop as well
     with ExitStack() as stack:
         with connecting_to(running, console):
             yields = running.run_dir is None
             observer = stack.enter_context(Observer(running.v2x, running.world, (), yields=yields))
             setup = observer.setup()
-        lower_priority()  # but for Zenoh's own threads: who is waited for must not be slow to take
+        lower_priority()  # but not for Zenoh's own threads, which publishers wait for
         observer.subscribe(recorded_topics(truth=truth))
         stop = stack.enter_context(StopSignals()).event
         recorder = McapRecorder(setup, next_path, observer.inbox, stop, truth=truth)
@@ -247,7 +248,7 @@ def keep(recorder: McapRecorder, observer: Observer, stop: threading.Event) -> N
 
 
 def convert_recording(path: Path, out: Path | None, cloud_every: int, console: Console) -> None:
-    """Writes what a recording holds for other tools, all of it.
+    """Converts a whole recording to Foxglove's messages.
 
     Raises:
         ConfigError: there is no such recording, or there can be no such file.

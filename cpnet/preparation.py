@@ -1,4 +1,4 @@
-"""From what the user asked for to a run that can start: scenario, setup, run folder, processes."""
+"""Preparation of a run: scenario, setup, run folder, processes, from the user's options."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ PLAYERS = SENSING | {"sim"}  # roles that play a recording, if there is one
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What the user asked `cpnet up` for."""
+    """Options of `cpnet up`."""
 
     scenario: str
     overrides: dict[str, Any]
@@ -68,9 +68,9 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A replay: what its run is called, and what makes its setup, given the run folder.
+    """A replay: the name of its run, and the function that makes its setup in the run folder.
 
-    `sensor_poses` (N, 6) are those of the first agent's sensor by frame, of scans from elsewhere.
+    `sensor_poses` (N, 6) are those of the first agent's sensor by frame, of imported scans.
     """
 
     name: str
@@ -80,7 +80,7 @@ class Replay:
 
 @dataclass(frozen=True, slots=True)
 class PreparedRun:
-    """A run that lacks nothing but its processes; `relays` start before the others."""
+    """A run that is ready to start; `relays` start before the other processes."""
 
     scenario: scenarios.Scenario
     endpoints: Endpoints
@@ -90,12 +90,12 @@ class PreparedRun:
 
 
 def prepare_run(options: Options, console: Console, played: Replay | None) -> PreparedRun:
-    """Makes the run folder and all that stands in it before the first frame.
+    """Makes the run folder and its files before the first frame.
 
-    What runs need is compiled, once, when all is known that would refuse this one early.
+    The functions that runs need are compiled, once, after all early checks.
 
     Raises:
-        ConfigError: the options or the scenario cannot be.
+        ConfigError: the options or the scenario are invalid.
         MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
@@ -158,7 +158,7 @@ def prepare_run(options: Options, console: Console, played: Replay | None) -> Pr
 
 
 def _check(choice: RoleSelection, options: Options, scenario: scenarios.Scenario) -> None:
-    """Finds before the start what would keep the roles of this machine from taking part."""
+    """Checks before the start that the roles of this machine can run."""
     if scenario.replay is None:
         _check_scans(choice.names, scenario.model_dump(mode="json"))
     if _detects(choice.names, scenario):
@@ -179,11 +179,11 @@ def _simulated(options: Options) -> scenarios.Scenario:
 
 
 def _check_scans(names: list[str], scenario: dict[str, Any]) -> None:
-    """Finds what would keep the roles of this machine from their scans."""
+    """Checks that the scan sources of this machine's roles are available."""
     if PLAYERS.intersection(names):
         check_recording(scenario)
     if SENSING.intersection(names):
-        from sensing.source import check_source  # imports what casts
+        from sensing.source import check_source  # imports the ray caster
 
         check_source(scenario)
 
@@ -225,7 +225,7 @@ def _refuse_duplicates(
 
 
 def _detects(roles: list[str], scenario: scenarios.Scenario) -> bool:
-    """Whether vehicles are looked for here: by the edge, or by agents that send what they find."""
+    """Whether detectors run here: on the edge, or on agents that send boxes."""
     kinds: dict[str, AgentKind] = {"vehicle": "vehicle", "infra": "roadside"}
     policies = [scenario.upload.of(kinds[role]).policy for role in roles if role in kinds]
     return "edge" in roles or any(policy_of(policy).sends == "objects" for policy in policies)

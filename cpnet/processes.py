@@ -1,4 +1,4 @@
-"""The process table: which roles there are, what runs them, in which order they start."""
+"""The process table: roles, their modules, and the order in which they start."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ ROLES = (
 
 RELAY = RoleEntry("relay", "link_relay")
 PLAYER = "recording.playback"
-"""The module that runs, in a replay, the roles whose words are in the recording."""
+"""The module that runs, in a replay, the roles whose messages are in the recording."""
 _RECORDED = {"sim", "vehicle", "infra"}
 AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
-"""Roles whose connections a relay may shape, and what their links are called."""
+"""Roles whose connections a relay may shape, with the names of their links."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class ProcessEntry:
 
 @dataclass(frozen=True, slots=True)
 class RoleSelection:
-    """What runs on this machine: roles, some of them with certain processes only."""
+    """Selection of what runs on this machine: roles, some of them with certain processes only."""
 
     roles: tuple[RoleEntry, ...]
     ids: frozenset[str] = frozenset()
@@ -118,7 +118,7 @@ def parse_only(only: str | None) -> RoleSelection:
 
 
 def in_replay(row: RoleEntry) -> RoleEntry:
-    """Returns the row as it is in a replay: the playback publishes what was recorded."""
+    """Returns the row for a replay: the playback publishes recorded messages."""
     return replace(row, module=PLAYER) if row.role in _RECORDED else row
 
 

@@ -8,7 +8,7 @@
     for frame in cpnet.simulate("t_junction", duration_s=10, detector=my_detector):
         print(frame.sim_time_s, len(frame.boxes), frame.upload_bytes)
 
-What a scenario's keys are is in the reference; a section may be given as a dictionary.
+For the keys of a scenario see the reference; a section may be given as a dictionary.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ def run(
 
     Args:
         scenario: a built-in name, a YAML file, or keys and values over `t_junction`.
-        detector: a function in the place of the edge's, see `studies.own_functions`.
-        upload_policy: the same of what agents send.
-        fusion: the same of how detections and poses are joined.
-        controller: the same of the signals' policy.
+        detector: a function that replaces the edge's, see `studies.own_functions`.
+        upload_policy: the same for the agents' upload policy.
+        fusion: the same for fusion.
+        controller: the same for the signal policy.
         processes: a process for each role, over Zenoh on loopback, as `cpnet up`; else all in this
             process, in lockstep. Functions need this process.
         out: the run folder, new or empty; None: a temporary one, removed with the run's object.
@@ -122,7 +122,7 @@ def study(
     keep_runs: bool = False,
     **overrides: Any,  # noqa: ANN401 - values of scenario keys
 ) -> Any:  # noqa: ANN401 - a polars.DataFrame
-    """Runs what is not done yet of a study; returns its table, a `polars.DataFrame`.
+    """Runs the missing cells of a study; returns its table, a `polars.DataFrame`.
 
     A row for each cell and seed: `grid`, a column for each axis, `seed`, then measures, which
     are called as in `Run.figures`. Cells that failed have no row.
@@ -159,7 +159,7 @@ def resolve(scenario: Scenario, overrides: Mapping[str, Any]) -> scenarios.Scena
 
 
 def _with_own(overrides: Mapping[str, Any], own: OwnParts) -> dict[str, Any]:
-    """Returns the overrides with the names of own parts.
+    """Returns the overrides with the names of plug-in functions.
 
     Raises:
         ConfigError: a part is given by a function and by a name.
@@ -187,7 +187,7 @@ def _check_names(settings: Mapping[str, Any]) -> None:
 
 
 def flattened(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns dotted keys and their values; a section that is given as a mapping is taken apart."""
+    """Returns dotted keys and their values; nested mappings are flattened."""
     found: dict[str, Any] = {}
     for key, value in overrides.items():
         if isinstance(value, Mapping) and scenarios.is_section(key):

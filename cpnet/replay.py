@@ -1,4 +1,4 @@
-"""`cpnet replay`: a recording, or scans from elsewhere, played to live processes."""
+"""`cpnet replay`: plays a recording, or imported scans, to live processes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from recording.mcap.reader import McapReader
 from recording.playback.frames import RecordingSummary
 
 LIVE = ("edge", "signal", "cabinet", "link", "record")
-"""Sections that a replay may change: what is not in the recording."""
+"""Sections that a replay may change: those whose effects are not in the recording."""
 LIVE_KEYS = ("name", "duration_s", "traffic.start_timeout_s")
 _PACE = ("mode", "replay")
 _FITS = {"lockstep": "virtual", "realtime": "emulated"}
@@ -62,7 +62,7 @@ class Pace:
 def replay_of_recording(
     path: Path, overrides: dict[str, Any], pace: Pace, console: Console
 ) -> Replay:
-    """Returns the replay of a recording, and says what of it cannot be read; see `setup_of`."""
+    """Returns the replay of a recording, and prints how much of it is damaged; see `setup_of`."""
     setup = setup_of(path, overrides, pace)
     if damaged := setup.scenario["replay"]["damaged"]:
         frames = round(setup.scenario["duration_s"] / setup.scenario["frame_period_s"])
@@ -76,10 +76,10 @@ def replay_of_recording(
 
 
 def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
-    """Returns what every process of a replay is given.
+    """Returns the setup of a replay.
 
     Raises:
-        ConfigError: there is no recording, or something is to be changed that is on it.
+        ConfigError: there is no recording, or an override is for data that is in it.
     """
     check_overrides(overrides)
     recording = McapReader(path)
@@ -113,13 +113,13 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
 def _damaged(recording: McapReader) -> int:
     """Returns how many parts of a recording that was gone through cannot be read.
 
-    An end that is missing is one: nobody can know how much would have followed.
+    A missing end is one: how much would have followed is unknown.
     """
     return recording.drops.total() or int(not recording.is_whole)
 
 
 def check_overrides(overrides: dict[str, Any]) -> None:
-    """Refuses what would not change anything, because it is in the recording.
+    """Refuses overrides without effect, because their data is in the recording.
 
     Raises:
         ConfigError: there is such a key.
@@ -153,11 +153,11 @@ WIDTH_M = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Scans:
-    """What the user asked for: clouds, a scenario whose roads fit them, or an open ground.
+    """Options of a replay of clouds: files, a scenario whose roads fit them, or an open ground.
 
     `height_m` is that of sensors over the ground, None to find it; `frames` None for each once;
-    `width_m` that of the open ground, None for `WIDTH_M`; `align` moves agents whose scans lie
-    elsewhere than those of others.
+    `width_m` that of the open ground, None for `WIDTH_M`; `align` moves agents whose scans
+    contradict those of others.
     """
 
     source: Source
@@ -209,7 +209,7 @@ def replay_of_scans(asked: Scans, pace: Pace, console: Console) -> Replay:
 
 
 def _in_place(agents: list[Agent], asked: Scans, console: Console) -> list[Agent]:
-    """Says whose scans lie elsewhere than those of others, and moves them if that is asked for."""
+    """Prints agents whose scans contradict those of others, and moves them on request."""
     offsets: dict[str, Floats] = {}
     for one in misplaced(agents) if len(agents) > 1 else []:
         offsets[one.agent] = one.offset
@@ -221,7 +221,7 @@ def _in_place(agents: list[Agent], asked: Scans, console: Console) -> list[Agent
 
 
 def _check_scan_overrides(overrides: dict[str, Any]) -> None:
-    """Refuses what would change nothing, because clouds are uploaded whole as they are."""
+    """Refuses overrides without effect, because clouds are uploaded whole and unchanged."""
     for key in overrides:
         section = key.partition(".")[0]
         if section in _CASTING or (section == "upload" and key not in _ENCODING):
@@ -237,7 +237,7 @@ def _scenario_of_scans(asked: Scans, pace: Pace, frames: int) -> scenarios.Scena
     facts: dict[str, Any] = {
         "duration_s": frames * base.frame_period_s,
         "traffic.warmup_s": 0.0,
-        "traffic.cav_rate": base.traffic.cav_rate or 1.0,  # so that the edge knows of LiDARs
+        "traffic.cav_rate": base.traffic.cav_rate or 1.0,  # so that the edge expects LiDARs
         "traffic.step_s": base.frame_period_s if base.frame_period_s <= 1 else base.traffic.step_s,
         "roadside_mounts": [],
         "processes.vehicle": 1,
@@ -259,7 +259,7 @@ def _scenario_of_scans(asked: Scans, pace: Pace, frames: int) -> scenarios.Scena
 
 
 def _plain_setup(scenario: dict[str, Any], roads: RoadMap) -> Setup:
-    """Returns a setup without anything that a sensor could be cast at."""
+    """Returns a setup without meshes for ray casting."""
     return Setup(
         scenario=scenario,
         road_map=roads,

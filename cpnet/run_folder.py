@@ -1,6 +1,6 @@
-"""The folder of a run, which a start that fails or is broken off does not leave behind.
+"""The folder of a run, removed if the start fails or is interrupted.
 
-Of many runs: the newest, and those that are older than what is to be kept.
+Also finds the newest run, and prunes old ones.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class RunFolder:
 
     @classmethod
     def at(cls, out: Path | None, name: str) -> RunFolder:
-        """Looks at the place, `runs/NAME-TIME` if none is named.
+        """Checks the path, `runs/NAME-TIME` if none is given.
 
         Raises:
             ConfigError: there can be no such folder, or it holds something.
@@ -51,7 +51,7 @@ class RunFolder:
             raise ConfigError(f"--out {out}: {error}") from None
 
     def make(self) -> Path:
-        """Makes it, unless it is there; returns its place.
+        """Makes it, unless it exists; returns its path.
 
         Raises:
             ConfigError: it cannot be made.
@@ -64,7 +64,7 @@ class RunFolder:
             raise ConfigError(f"--out {self.path}: no folder can be made there: {why}") from None
 
     def take_back(self) -> None:
-        """Removes what was made, so that the same command can be repeated."""
+        """Removes the made files, so that the same command can be repeated."""
         if not self.was_there:
             shutil.rmtree(self.path, ignore_errors=True)
             return
@@ -77,7 +77,7 @@ class RunFolder:
 
 @contextmanager
 def written(run_dir: Path) -> Iterator[None]:
-    """Guards what writes there.
+    """Context manager: turns errors of writing there into ConfigError.
 
     Raises:
         ConfigError: the disk is full, or may not be written.
@@ -150,12 +150,12 @@ def _is_run(run: Path) -> bool:
 
 
 def _process_logs(run: Path) -> list[Path]:
-    """Returns the logs of a run's processes, which begin once `cpnet up` says that it goes on."""
+    """Returns the logs of a run's processes, which begin once `cpnet up` marks it as running."""
     return [path for path in (run / _LOGS).glob("*.log") if role_of(path.stem) in ROLES]
 
 
 def _has_ended(run: Path) -> bool:
-    """Whether no `cpnet up` says that it goes on."""
+    """Whether no `cpnet up` marks it as running."""
     return not (run / _BUSES).exists()
 
 

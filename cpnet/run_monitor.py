@@ -46,7 +46,7 @@ class StallCheck:
         self._stopped: set[str] = set()
 
     def frames(self, frame: int | None, now_ns: int) -> str | None:
-        """Takes the newest frame received, None before the first."""
+        """Updates by the newest frame received, None before the first."""
         silent_ns = now_ns - self._since_ns
         if frame != self._frame:
             if self._frame is not None:
@@ -60,7 +60,7 @@ class StallCheck:
         return f"no frame for {silent_ns / 1e9:.0f} s"
 
     def stopped(self, processes: Iterable[str]) -> list[str]:
-        """Takes the processes that a signal has stopped for too long."""
+        """Updates by the processes that a signal has stopped for too long."""
         now = set(processes)
         news = [
             f"nothing heard from {name}: it is stopped (SIGSTOP)" for name in now - self._stopped
@@ -92,7 +92,7 @@ class Display:
         self._live.stop()
 
     def show(self, progress: Progress) -> None:
-        """Draws the newest state of the run, once a frame is whole; times leave out the warm-up."""
+        """Draws the newest state of the run, once a frame is complete; times lack the warm-up."""
         if not progress.end_to_end_ms:
             return
         time_s = (progress.frame + 1) * self._scenario.frame_period_s
@@ -147,7 +147,7 @@ def _signal(state: str) -> Text:
 
 POLL_S = 0.05
 LATE_END_S = 2.0
-OTHERS_LEAVE_S = 12.0  # longer than the patience of a recorder elsewhere
+OTHERS_LEAVE_S = 12.0  # longer than the timeout of a recorder elsewhere
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -263,7 +263,7 @@ class RunMonitor:
                 self.console.print(line, markup=False, highlight=False)
 
     def _await_late_end(self, watch: WorldWatch) -> None:
-        """Waits a little if a process has left and none failed: the end may be on its way."""
+        """Waits a little if a process has left and none failed: its message may be in transit."""
         has_left = self.supervisor.failure(at_end=False) is not None
         if watch.end is None and has_left and self.supervisor.failure(at_end=True) is None:
             watch.await_end(LATE_END_S)
@@ -292,7 +292,7 @@ class RunMonitor:
         is_recording = (
             failure is not None and failure.id == MCAP.role and watch.progress is not None
         )
-        return None if is_recording else failure  # that of a recording is dismissed next time
+        return None if is_recording else failure  # that of a recording is removed next time
 
     def _dismiss_recording(self, *, at_end: bool) -> list[ExitReport]:
         failure = self.supervisor.remove_failed(MCAP.role, at_end=at_end)
@@ -317,7 +317,7 @@ class RunMonitor:
             needed.discard(MCAP.role)
         for role, process in watch.lost():
             if process in needed and not self.supervisor.holds(process):
-                watch.await_end(LATE_END_S)  # it may still be on its way, or a link was broken
+                watch.await_end(LATE_END_S)  # it may still be in transit, or a link was broken
                 if watch.end is None and (role, process) in watch.lost():
                     how = "left another machine before the run ended"
                     return ExitReport(process, how, "(no log here)")

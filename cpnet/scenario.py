@@ -31,8 +31,8 @@ from sim_host.config import CabinetConfig, TrafficConfig
 
 _NOT_YAML = (yaml.YAMLError, ValueError, RecursionError)  # the loader lets all of them out
 
-# Keys that scenarios of earlier versions have -> what they are called now. Dotted; an old key
-# may name a whole section. `changed` and `validate` refuse the old key and name the new one.
+# Renamed keys: of earlier versions -> present ones. Dotted; an old key may name a whole section.
+# `changed` and `validate` refuse the old key and name the new one.
 RENAMED_KEYS: dict[str, str] = {
     "record.tape": "record.mcap",
     "replay.tape": "replay.recording",
@@ -53,7 +53,7 @@ Regions = dict[Annotated[str, Field(pattern=rf"^{REGION_ID}$", max_length=64)], 
 
 
 Realism = Literal["paper", "clear", "hard"]
-"""Presets of how much of the world's difficulty is there, see `cpnet/realism`."""
+"""Realism presets: how difficult the simulated world is, see `cpnet/realism`."""
 
 
 class LidarPair(Section):
@@ -70,7 +70,7 @@ class LidarPair(Section):
 
 
 class ProcessConfig(Section):
-    """How the work is spread."""
+    """Distribution of work over processes."""
 
     vehicle: int = Field(
         2, ge=1, le=64, description="vehicle processes; CAVs are spread over those that run"
@@ -175,7 +175,7 @@ def changed(data: dict[str, Any], overrides: dict[str, Any], source: str) -> Sce
 
 
 def validate(data: dict[str, Any], source: str) -> Scenario:
-    """Checks a scenario's data; `source` says in errors where it came from.
+    """Checks a scenario's data; `source` names its origin in errors.
 
     Raises:
         ConfigError: a key that was renamed, an unknown key or a value out of range.
@@ -196,7 +196,7 @@ def validate(data: dict[str, Any], source: str) -> Scenario:
 
 
 def _over_realism(data: dict[str, Any]) -> dict[str, Any]:
-    """Returns a scenario's data laid over what its realism sets."""
+    """Returns a scenario's data merged over its realism preset."""
     name = data.get("realism", Scenario.model_fields["realism"].default)
     if name not in get_args(Realism):
         return data  # which is refused
@@ -208,7 +208,7 @@ def _over_realism(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Returns both mappings as one; where both have a value that is no mapping, that above."""
+    """Merges two mappings recursively; where values conflict, the upper one wins."""
     both = dict(below)
     for key, value in above.items():
         under = both.get(key)

@@ -1,4 +1,4 @@
-"""How the buses of a run are protected: by TLS with `--keys`, or by staying on loopback."""
+"""Security of a run's buses: TLS with `--keys`, or loopback only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from protocol.topics import BusName
 
 
 def check_key(folder: Path, process_id: str, *, hosts: bool = False) -> datetime:
-    """Returns until when the certificate of a process holds; one that hosts a bus must serve too.
+    """Checks a process's certificate and key; returns its expiry.
+
+    A bus's host needs a certificate for servers.
 
     Raises:
         ConfigError: a file is missing or is not what its name says, or the certificate has
@@ -92,7 +94,7 @@ def _shake_hands(client: ssl.SSLContext, server: ssl.SSLContext) -> ssl.SSLObjec
 
 
 def _step(side: ssl.SSLObject) -> bool:
-    """Goes on with a handshake; returns whether it waits for the other side."""
+    """Continues a handshake; returns whether it waits for the other side."""
     try:
         side.do_handshake()
     except ssl.SSLWantReadError:
@@ -143,7 +145,7 @@ def secured_endpoints(
 
 
 def check_keys(keys: Path | None, entries: list[ProcessEntry]) -> None:
-    """Looks through the certificates of the processes that are to start here.
+    """Checks the certificates of the processes that are to start here.
 
     Raises:
         ConfigError: one is missing or cannot be used.
@@ -155,9 +157,9 @@ def check_keys(keys: Path | None, entries: list[ProcessEntry]) -> None:
 
 
 def check_keys_of_roles(keys: Path | None, choice: RoleSelection) -> None:
-    """Looks through all that a folder has for roles whose processes the scenario decides.
+    """Checks all certificates of a folder for roles whose processes the scenario decides.
 
-    So keys that cannot be used are told before the machine of the scenario is waited for.
+    So invalid keys are reported before the command waits for the scenario's machine.
 
     Raises:
         ConfigError: a role has none, or a certificate or its key cannot be used.

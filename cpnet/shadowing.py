@@ -1,8 +1,8 @@
-"""Finds a user's own module, such as `protocol.py`, that hides a package of cpnet.
+"""Detects a user's module, such as `protocol.py`, that shadows a package of cpnet.
 
 cpnet's packages have plain names. A file of such a name in the folder of a script, in the current
-one under `python -m`, or on PYTHONPATH comes first, and what fails then names neither. What was
-checked holds for this process; processes that it starts are given the same path.
+one under `python -m`, or on PYTHONPATH comes first, and the error that follows names neither. What
+was checked holds for this process; processes that it starts are given the same path.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def same_path() -> dict[str, str]:
-    """Returns the settings by which a new interpreter finds the modules that this one finds.
+    """Returns the environment in which a new interpreter finds the same modules as this one.
 
     By itself, `python -c` and `python -m` would look in the current folder first.
     """
@@ -30,7 +30,7 @@ def same_path() -> dict[str, str]:
 
 
 def check_packages() -> None:
-    """Checks that each package of cpnet is the one beside this.
+    """Checks that no package of cpnet is shadowed: each is the one beside this.
 
     Raises:
         ImportError: another module hides one; the text names its file.

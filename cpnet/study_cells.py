@@ -1,4 +1,4 @@
-"""The cells of a study with what the user set, and a study that a Python program runs."""
+"""The cells of a study with the user's settings, and studies run by a Python program."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def resolved(name: str, settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_detectors(study: Study, cells: list[Cell]) -> None:
-    """Checks before the first run that every detector can be had.
+    """Checks before the first run that every detector is available.
 
     Raises:
         ConfigError: a detector of a cell, or of the accuracy part, cannot be had here.
@@ -71,7 +71,7 @@ def run_study(
     *,
     keep_runs: bool,
 ) -> pl.DataFrame:
-    """Runs what is missing of a study and returns its table; see `cpnet.study`."""
+    """Runs the missing cells of a study and returns its table; see `cpnet.study`."""
     try:
         from studies.sweep.results import table
     except ModuleNotFoundError as error:

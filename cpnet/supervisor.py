@@ -30,7 +30,7 @@ class Restarts:
     """Limits how often a process is restarted: `MAX_RESTARTS` times within `WITHIN_NS`.
 
     The first restart comes at once, each further one `FIRST_PAUSE_NS` after the one before, then
-    twice as long each time: what was wrong outside may have passed.
+    twice as long each time: an external cause may have passed.
     """
 
     def __init__(self) -> None:
@@ -137,7 +137,7 @@ class Supervisor:
         self._list()
 
     def restart_ended(self) -> tuple[list[ExitReport], list[ExitReport]]:
-        """Restarts processes that ended too early; returns the restarted and those that are not.
+        """Restarts processes that ended too early; returns the restarted ones and the others.
 
         A process that a signal has stopped for `STOPPED_NS` is killed first. The simulator is never
         restarted, nor a process that fails again and again (see `Restarts`). A process that ends
@@ -196,7 +196,7 @@ class Supervisor:
         return self._run_dir / "logs" / LOG_NAME
 
     def _list(self) -> None:
-        """Writes the ids and process numbers to `processes.json`, for tools outside.
+        """Writes the ids and process numbers to `processes.json`, for external tools.
 
         A full disk is logged once and does not end the run; the outdated list is removed.
         """

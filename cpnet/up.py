@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 def up(options: Options, console: Console, played: Replay | None = None) -> tuple[int, Path]:
     """Runs the roles of this machine to the end; returns the exit status and the run folder.
 
-    A replay takes the place of the scenario in the options.
+    A replay replaces the scenario in the options.
 
     Raises:
-        ConfigError: the options or the scenario cannot be.
+        ConfigError: the options or the scenario are invalid.
         MessageError: the roads are too large for a message.
         BusError: the other side cannot be reached.
     """
@@ -57,7 +57,7 @@ def up(options: Options, console: Console, played: Replay | None = None) -> tupl
 def _metrics_address(text: str | None) -> MetricsAddress | None:
     if text is None:
         return None
-    from cpnet.metrics_page import MetricsAddress  # prometheus_client slows each other start
+    from cpnet.metrics_page import MetricsAddress  # prometheus_client would slow every other start
 
     return MetricsAddress.parse(text)
 
@@ -75,7 +75,7 @@ def _serving(address: MetricsAddress | None, console: Console) -> Iterator[RunMe
 
 
 def print_results(run_dir: Path, console: Console) -> None:
-    """Prints the summary of a run that was made here, and what may come next."""
+    """Prints the summary of a run that was made here, and hints for next steps."""
     if not (run_dir / "run.sqlite").is_file():
         console.print("the results are where the role record runs")
         return

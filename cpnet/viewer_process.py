@@ -23,7 +23,7 @@ _GRACE_S = 8.0
 
 
 class Viewing(Enum):
-    """Where a run is shown."""
+    """Output of the viewer process."""
 
     NATIVE = "native"
     WEB = "web"
@@ -37,7 +37,7 @@ def check_viewing(how: Viewing | None) -> None:
 
 @contextmanager
 def viewed(run_dir: Path, how: Viewing | None, console: Console) -> Iterator[None]:
-    """Shows the run as long as the context lasts; what the viewer says is printed."""
+    """Context manager: shows the run; the viewer's output is printed."""
     if how is None:
         yield
         return
@@ -65,7 +65,7 @@ def viewed(run_dir: Path, how: Viewing | None, console: Console) -> Iterator[Non
 def _tell(viewer: subprocess.Popen[str], log: Path, console: Console) -> None:
     for line in viewer.stdout or ():
         console.print(line.rstrip(), highlight=False, markup=False, soft_wrap=True)
-    if viewer.wait() > 0:  # not by a signal, nor well
+    if viewer.wait() > 0:  # it failed, not by a signal
         how = describe_status(viewer.returncode)
         said = f"the viewer {how}; the run goes on without it:\n{log_tail(log)}"
         console.print(said, highlight=False, markup=False, soft_wrap=True)

@@ -1,4 +1,4 @@
-"""What the supervisor receives over the world bus: progress, the end, who is present."""
+"""The supervisor's subscriber of the world bus: progress, the end, presence."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def all_processes(scenario: Scenario) -> set[ProcessKey]:
 
 
 class PresenceTable:
-    """Processes that are present, and expected ones that have left; others are forgotten then."""
+    """Processes that are present, and expected ones that have left; others are forgotten."""
 
     def __init__(self, expected: Iterable[ProcessKey]) -> None:
         self._expected = frozenset(expected)
@@ -38,7 +38,7 @@ class PresenceTable:
         self.left: set[ProcessKey] = set()
 
     def update(self, presence: Presence) -> None:
-        """Notes a process that joins or leaves; at most `MAX_UNEXPECTED` that nobody expects."""
+        """Registers a process that joins or leaves; at most `MAX_UNEXPECTED` unexpected ones."""
         process = (presence.role, presence.id)
         if process in self._expected:
             (self.present.add if presence.alive else self.present.discard)(process)

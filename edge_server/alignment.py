@@ -1,10 +1,10 @@
-"""Alignment: by how much agents' poses are off, estimated from their scans and corrected.
+"""Pose alignment: agents' pose errors, estimated by scan registration and corrected.
 
-Now and then an agent's scan is registered to the static map of the scene, which is learnt from
-roadside units and from agents that are in place. A Kalman filter for each agent makes of that the
-slowly varying offset of its poses; directions along which the scene tells nothing keep what is
-known. Scans and poses are moved by it before they are merged. An agent whose scans contradict the
-map wherever they are put is excluded.
+Every few frames an agent's scan is registered to the static map of the scene, which is learnt from
+roadside units and from agents whose poses are right. From that, a Kalman filter for each agent
+estimates the slowly varying offset of its poses; directions that the scene does not constrain keep
+their estimate. Scans and poses are corrected by it before they are merged. An agent whose scans
+contradict the map at any offset is excluded.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from protocol.messages import AgentAlignment, AgentPose
 EVERY = 5  # frames: an agent's scan is registered
 ADD_FIRST, ADD_EVERY = 5, 4  # of an agent's scans that are in place: go into the map
 COARSE_M, FINE_M = 3.0, 0.4  # from the map: what is drawn to it, at first and later
-LEAST_KNOWN = 100  # points: fewer tell nothing
+LEAST_KNOWN = 100  # points: fewer are not informative
 GOOD, CONTRADICTS = 0.6, 0.4  # share of inliers of a fit that counts, of one that is none at all
-# x, y, z in m, yaw in rad: what an agent's pose may be off when nothing is known, the noise of a
-# frame's pose, how much the offset changes in the root of a second, and when it is known well.
+# Standard deviations of x, y, z in m and yaw in rad: of the offset of an unknown agent, the noise
+# of a frame's pose, the offset's change in the root of a second, and of one that is known well.
 PRIOR_STD = np.array([0.3, 0.3, 0.2, np.radians(1.0)])
 NOISE_STD = np.array([0.05, 0.05, 0.05, np.radians(0.1)])
 DRIFT_STD = np.array([0.05, 0.05, 0.02, np.radians(0.05)])
@@ -45,7 +45,7 @@ MOST_AGENTS = 1024
 
 
 class Sample(ChunkStage):
-    """Takes the structure of those scans that are registered in their frame."""
+    """Extracts the structure of those scans that are registered in their frame."""
 
     name = "sample"
 
@@ -61,7 +61,7 @@ class Sample(ChunkStage):
 
 
 class OffsetFilter:
-    """Kalman filter of by how much an agent's poses are off: x, y, z in m, yaw in rad (4,)."""
+    """Kalman filter of the offset of an agent's poses: x, y, z in m, yaw in rad (4,)."""
 
     __slots__ = ("_covariance", "offset", "updates")
 
@@ -81,13 +81,13 @@ class OffsetFilter:
         return bool((self.std < KNOWN_STD).all())
 
     def predict(self, by_s: float) -> None:
-        """Lets time pass."""
+        """Predicts over a time step."""
         covariance = self._covariance + np.diag(DRIFT_STD**2) * by_s
         scale = np.minimum(PRIOR_STD / np.sqrt(np.diag(covariance)), 1.0)
         self._covariance = covariance * scale[:, None] * scale
 
     def update(self, fit: Fit) -> None:
-        """Takes a registration. One that cannot be has the filter begin anew around it."""
+        """Updates by a registration. An implausible one resets the filter around it."""
         noise = fit.covariance + np.diag(NOISE_STD**2)
         surprise = fit.offset - self.offset
         surprise[3] = np.remainder(surprise[3] + np.pi, 2 * np.pi) - np.pi
@@ -103,7 +103,7 @@ class OffsetFilter:
 
 @dataclass(slots=True, eq=False)
 class _Known:
-    """What is remembered of an agent from frame to frame."""
+    """State of an agent, kept from frame to frame."""
 
     filter: OffsetFilter = field(default_factory=OffsetFilter)
     seen_ns: int = 0
@@ -112,19 +112,19 @@ class _Known:
     added: int = 0
 
     def adds(self) -> bool:
-        """Whether the map takes this scan: the first ones, later every fourth."""
+        """Whether this scan is added to the map: the first ones, later every fourth."""
         self.added += 1
         return self.added <= ADD_FIRST or self.added % ADD_EVERY == 0
 
     def judge(self, fit: Fit) -> None:
-        """Takes whether a scan contradicts the map; a single one does not decide."""
+        """Updates whether the agent's scans contradict the map; a single one does not decide."""
         contradicts = float(fit.inliers < CONTRADICTS)
         self.misfit += MISFIT_SHARE * (contradicts - self.misfit)
         self.is_excluded = self.misfit > (BACK if self.is_excluded else EXCLUDED)
 
 
 class Align(FrameStage):
-    """Remembers the static map and agents' offsets; corrects scans and poses by them.
+    """Stage that corrects scans and poses; keeps the static map and agents' offsets.
 
     Roadside units were surveyed: they are never moved, and the map begins with what they see.
     Without any in a frame it begins with what the first agent sees.
@@ -194,7 +194,7 @@ class Align(FrameStage):
         return fit
 
     def _fit(self, known: _Known, points: Floats32, sensor_m: Floats) -> Fit:
-        """Registers a scan from what is known; from farther away where that is not enough."""
+        """Registers a scan from the known offset; with a larger search radius where that fails."""
         if known.filter.updates:
             fit = self._map.fit(points, sensor_m, known.filter.offset, FINE_M)
             if fit.known < LEAST_KNOWN or fit.inliers >= GOOD:
@@ -207,7 +207,7 @@ class Align(FrameStage):
         return self._map.fit(points, sensor_m, coarse.offset, FINE_M)
 
     def _corrected(self, frame: Frame) -> Frame:
-        """Returns the frame with scans and poses where they belong."""
+        """Returns the frame with corrected scans and poses."""
         offsets = {a: k.filter.offset for a, k in self._known.items() if k.filter.updates}
         return replace(
             frame,

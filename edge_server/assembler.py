@@ -1,4 +1,4 @@
-"""Frame assembly: collects what belongs to one frame, decides when it is complete or timed out."""
+"""Frame assembly: collects a frame's poses and chunks, decides when it is complete or timed out."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ V = TypeVar("V")
 
 MAX_AGENTS = 512  # of a frame
 MAX_CHUNKS = 4 * MAX_AGENTS
-MAX_BOXES = 4 * MAX_AGENTS  # that agents detected by themselves
+MAX_BOXES = 4 * MAX_AGENTS  # that agents detected on board
 MAX_POINTS = 10_000_000  # of a frame; placed, they take 160 MB
 
 
 @dataclass(slots=True, eq=False)
 class FrameAssembly:
-    """A frame that is being assembled. Chunks are known by (agent, index).
+    """A frame that is being assembled. Chunks are identified by (agent, index).
 
     `decoding` are the chunks that are wanted and not decoded yet. A frame that `is_closing` takes
     no more. Where there is no room, an agent that no roster announces gives way to one that is
@@ -42,7 +42,7 @@ class FrameAssembly:
     is_closing: bool = False
 
     def add_roster(self, roster: Roster) -> None:
-        """Takes a process's first roster."""
+        """Adds a process's first roster."""
         held = sum(_size(other) + 1 for other in self.rosters.values())
         if roster.process in self.rosters:
             self.drops["duplicate"] += 1
@@ -52,7 +52,7 @@ class FrameAssembly:
             self.rosters[roster.process] = roster
 
     def add_pose(self, pose: AgentPose) -> None:
-        """Takes an agent's first pose."""
+        """Adds an agent's first pose."""
         if pose.agent in self.poses:
             self.drops["duplicate"] += 1
             return
@@ -65,7 +65,7 @@ class FrameAssembly:
         self._date(pose.sim_time_ns)
 
     def add_found(self, found: AgentDetections) -> None:
-        """Takes an agent's first boxes."""
+        """Adds an agent's first boxes."""
         if found.agent in self.found:
             self.drops["duplicate"] += 1
         elif len(self.found) >= MAX_AGENTS:
@@ -77,7 +77,7 @@ class FrameAssembly:
             self._date(found.objects.sim_time_ns)
 
     def wants(self, scan: Scan) -> bool:
-        """Whether a chunk is new, agrees with its fellows and has room; counts it if not."""
+        """Whether a chunk is new, agrees with the agent's others and has room; counts it if not."""
         key = scan.agent, scan.chunk
         if key in self.chunks or key in self.decoding:
             reason = "duplicate"
@@ -102,7 +102,7 @@ class FrameAssembly:
         self.decoding.discard((scan.agent, scan.chunk))
 
     def add_chunk(self, chunk: Chunk) -> None:
-        """Takes a decoded chunk that was wanted."""
+        """Adds a decoded chunk that was wanted."""
         self.decoding.discard((chunk.agent, chunk.index))
         while not self._fits(chunk) and self._can_oust_for(chunk.agent):
             self._oust(self.chunks, [key for key in self.chunks if not self._is_announced(key[0])])
@@ -154,7 +154,7 @@ class FrameAssembly:
 
 
 def _size(roster: Roster) -> int:
-    """Returns how many agents a roster names, be they rightly in both of its lists or not."""
+    """Returns the number of entries in both lists of a roster."""
     return max(len(roster.agents), len(roster.scanning))
 
 
@@ -164,10 +164,10 @@ NO_POSE_ROLE = "infra"  # a roadside unit's place is in its scans
 
 
 class Assembler:
-    """Knows which processes are alive and waits for all that they announce, up to `wait_ns`.
+    """Assembles frames: waits for all that present processes announce, up to `wait_ns`.
 
     A process is waited for from the start if it was expected, else from its first roster on, until
-    it vanishes or floods. Of scans, less may be enough: `covers` decides by how much of each has
+    it vanishes or floods. Parts of scans may be enough: `covers` decides by how much of each has
     arrived. `drops` counts, by reason, what was not used.
     """
 
@@ -206,7 +206,7 @@ class Assembler:
                 self._roles.pop(process, None)
 
     def wait_not_for(self, processes: set[str]) -> None:
-        """Waits for none of these, which publish more than is read, until their next roster."""
+        """Stops waiting for processes that flood the inbox, until their next roster."""
         self._heard -= processes
 
     def is_there(self, process: str) -> bool:
@@ -214,11 +214,11 @@ class Assembler:
         return process in self._alive
 
     def admits(self, frame: int) -> bool:
-        """Whether a frame can be real, be it over."""
+        """Whether a frame number is plausible; the frame may be over."""
         return self._horizon.admits(frame)
 
     def add_time(self, frame: int, sim_time_ns: int) -> None:
-        """Adds a frame's simulated time, as the signal's state has it."""
+        """Adds a frame's simulated time, from the signal's state."""
         self._horizon.follow(frame)
         if not self._is_near(frame):
             return
@@ -227,7 +227,7 @@ class Assembler:
             del self._times_ns[self._horizon.farthest(self._times_ns)]
 
     def add_roster(self, roster: Roster, received_ns: int) -> None:
-        """Takes the list of agents of a process, if that is alive."""
+        """Adds the roster of a process, if that is present."""
         if roster.process not in self._alive:
             self.drops["absent_process"] += 1
         elif part := self._part(roster.frame, received_ns):
@@ -235,12 +235,12 @@ class Assembler:
             part.add_roster(roster)
 
     def add_pose(self, pose: AgentPose, received_ns: int) -> None:
-        """Takes an agent's pose."""
+        """Adds an agent's pose."""
         if part := self._part(pose.frame, received_ns):
             part.add_pose(pose)
 
     def add_objects(self, objects: Objects, received_ns: int) -> None:
-        """Takes what an agent detected by itself."""
+        """Adds objects that an agent detected on board."""
         if part := self._part(objects.frame, received_ns):
             part.add_found(AgentDetections(objects, received_ns))
 
@@ -250,7 +250,7 @@ class Assembler:
         return part is not None and part.wants(scan)
 
     def begin(self, scan: Scan) -> None:
-        """Marks a wanted scan as being decoded: its frame's end waits for it."""
+        """Marks a wanted scan as being decoded: the end of its frame waits for it."""
         if part := self._open.get(scan.frame):
             part.begin(scan)
 
@@ -260,15 +260,15 @@ class Assembler:
             part.forgo(scan)
 
     def add_chunk(self, chunk: Chunk) -> None:
-        """Takes a chunk of a scan that was wanted, decoded."""
+        """Adds a wanted chunk of a scan, decoded."""
         if part := self._part(chunk.frame, chunk.received_ns):
             part.add_chunk(chunk)
 
     def pop(self, now_ns: int) -> Frame | None:
-        """Returns the newest whole frame, else the oldest that has been waited for long enough.
+        """Returns the newest complete frame, else the oldest that has timed out.
 
-        Older frames than the one returned are given up. What arrived in time is part of a frame:
-        one that waited for long enough takes no more scans but those that are being decoded.
+        Frames older than the one returned are dropped. What arrived in time is part of a frame: one
+        that timed out takes no more scans but those that are being decoded.
         """
         credible = {n: part for n, part in self._open.items() if self._is_credible(n, part)}
         whole = [number for number, part in credible.items() if self._is_whole(number, part)]
@@ -291,7 +291,7 @@ class Assembler:
 
     def _part(self, frame: int, received_ns: int) -> FrameAssembly | None:
         if frame <= self._finished:
-            # Of a frame that had enough, more may have been on its way.
+            # More chunks of a frame that was complete may have been in transit.
             self.drops["late"] += frame not in self._had_enough
             return None
         if not self._is_near(frame):
@@ -319,7 +319,7 @@ class Assembler:
         return self._alive & self._heard
 
     def _is_credible(self, number: int, part: FrameAssembly) -> bool:
-        """Whether more than a single message speaks for a frame: its end makes others late."""
+        """Whether more than one message supports a frame number: its end makes others late."""
         awaited = self._awaited
         said = len(awaited & part.rosters.keys())
         return number in self._times_ns or 2 * said > len(awaited)
@@ -339,7 +339,7 @@ class Assembler:
         return self._covers is not None and self._covers(uploaded)
 
     def _uploaded(self, part: FrameAssembly) -> dict[str, UploadProgress]:
-        """Returns how much has arrived of the scans that awaited processes announced."""
+        """Returns how much has arrived of the announced scans."""
         rosters = [part.rosters[name] for name in sorted(self._awaited & part.rosters.keys())]
         return {a: part.uploaded(a) for roster in rosters for a in roster.scanning}
 

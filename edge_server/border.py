@@ -1,8 +1,8 @@
 """Border strips: the vehicles and sensors that neighbouring regions exchange.
 
 Each edge publishes the vehicles that it found on the lanes that both regions know, and where its
-sensors stand. Both sides of a border join the same vehicles in the same order, so that they come to
-one result: which of them publishes and counts a vehicle is then decided by its lane.
+sensors stand. Both sides of a border join the same vehicles in the same order, so that they get the
+same result: which of them publishes and counts a vehicle is then decided by its lane.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from protocol.roadmap import RoadMap
 
 BORDER = "border"
 STRIP_M = 10.0
-"""A strip reaches so far beyond the lanes that two regions share: farther than a box is off."""
+"""Margin of a strip around the lanes that two regions share, m: larger than a box's error."""
 SENSORS_M = 120.0
-"""Sensors so near a strip are published: farther than a LiDAR detects vehicles reliably."""
+"""Distance within which sensors are published, m: farther than a LiDAR detects reliably."""
 MAX_KEPT_FRAMES = 8
-"""Of a neighbour; limits what others may send."""
+"""Limit on the frames kept of a neighbour."""
 
 
 class BorderStrips:
@@ -44,7 +44,7 @@ class BorderStrips:
         self._owned = {lane.id for lane in own.area.lanes if lane.tls in own.area.by_tls}
         self._last = _nothing()
         self.number = sorted(regions).index(own.id)
-        """The region's, in the city."""
+        """Number of the region, in the city."""
 
     @property
     def neighbours(self) -> list[str]:
@@ -52,7 +52,7 @@ class BorderStrips:
         return list(self._strips)
 
     def message_of(self, state: FrameState) -> BorderObjects:
-        """Returns what the neighbours need to know of a frame: vehicles and sensors at strips."""
+        """Returns the border message of a frame: vehicles and sensors at strips."""
         inside = np.zeros(len(state.fused), np.bool_)
         for strip in self._strips.values():
             inside |= strip.contains(state.fused.boxes)
@@ -70,7 +70,7 @@ class BorderStrips:
         )
 
     def note(self, last: Detections) -> None:
-        """Takes what the region published of the last frame, for the next message."""
+        """Stores the region's published tracks of the last frame, for the next message."""
         self._last = last
 
     def _tracks(self) -> dict[str, Any]:
@@ -92,7 +92,7 @@ class BorderStrips:
         }
 
     def join(self, state: FrameState, config: FusionConfig) -> None:
-        """Adds to a frame what was received of its neighbours; others' strips stay unknown."""
+        """Joins a frame with its neighbours' border messages; strips without one stay unknown."""
         received = {n: state.received[n] for n in sorted(state.received) if n in self._strips}
         parts = [_as_received(state.fused)]
         for name, message in received.items():
@@ -110,9 +110,9 @@ class BorderStrips:
 
 
 class BorderExchange:
-    """The frame that waits for its neighbours' part, and what came of it and of later ones.
+    """Exchange of border messages: the waiting frame, and messages of it and later ones.
 
-    A neighbour that is not there is not waited for; what it does not publish stays unknown.
+    An absent neighbour is not waited for; its strip stays unknown.
     """
 
     def __init__(self, strips: BorderStrips) -> None:
@@ -133,7 +133,7 @@ class BorderExchange:
         (self._alive.add if alive else self._alive.discard)(region)
 
     def take(self, region: str, message: BorderObjects) -> bool:
-        """Takes what a neighbour published of a frame; returns False if the frame is over."""
+        """Stores a neighbour's border message; returns False if its frame is over."""
         if region not in self._received or message.frame <= self._finished:
             return False
         kept = self._received[region]
@@ -143,14 +143,14 @@ class BorderExchange:
         return True
 
     def begin(self, state: FrameState, wait_ns: int) -> BorderObjects:
-        """Begins to wait with a frame; returns what to publish of it."""
+        """Begins to wait for neighbours with a frame; returns the message to publish."""
         self.state = state
         self._since_ns = time.monotonic_ns()
         self._until_ns = self._since_ns + wait_ns
         return self._strips.message_of(state)
 
     def is_due(self, now_ns: int) -> bool:
-        """Whether a frame waits, and all that is awaited has come or waiting is over."""
+        """Whether a frame waits, and all neighbours have answered or it timed out."""
         if self.state is None:
             return False
         frame = self.state.frame.frame
@@ -158,7 +158,7 @@ class BorderExchange:
         return not awaited or now_ns >= self._until_ns
 
     def end(self) -> FrameState:
-        """Returns the frame that waited, with what came.
+        """Returns the frame that waited, with the received messages.
 
         Raises:
             ValueError: none waits.
@@ -182,7 +182,7 @@ def _box(strip: RoadMap) -> tuple[Floats, Floats]:
 
 
 def _as_received(vehicles: Vehicles) -> Vehicles:
-    """Returns vehicles with the numbers that a message would hold, as the neighbours know them."""
+    """Returns vehicles with numbers rounded as in a message, as the neighbours receive them."""
     return Vehicles(
         vehicles.boxes.astype(np.float32).astype(np.float64),
         vehicles.scores.astype(np.float32).astype(np.float64),

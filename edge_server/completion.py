@@ -1,13 +1,13 @@
 """Frame completion: when a frame needs no more chunks, and which are late on virtual links.
 
-A frame is complete when the space between any two neighbours is covered. An agent whose first chunk
-arrived covers its part up to the tight borders, with the second up to the
-plain and with the third up to the wide ones; the fourth is all the rest that it sees. What one
-agent leaves within its tight border, the other covers within its wide one: so two neighbours cover
-the space between them once they have sent four chunks together. Neighbours are agents whose widest
-cells meet. Then every place lies within the borders of an agent: its owner's, or, if the owner sent
-its tight part only and the place lies beyond, those of the one that comes nearest to owning it,
-which is a neighbour of the owner and has sent up to its wide border.
+A frame is complete when the space between any two neighbouring agents is covered. An agent whose
+first chunk arrived covers its part up to the tight borders, with the second up to the plain and
+with the third up to the wide ones; the fourth is all the rest that it sees. What one agent leaves
+within its tight border, the other covers within its wide one: so two neighbours cover the space
+between them once they have sent four chunks together. Neighbours are agents whose widest cells
+meet. Then every place lies within the borders of an agent: its owner's, or, if the owner sent its
+tight part only and the place lies beyond, those of the one that comes nearest to owning it, which
+is a neighbour of the owner and has sent up to its wide border.
 
 Unlike in EMP, every owner's first chunk is needed besides: within its tight border no other
 sensor is as good, and a roadside unit on a wire, which sends all at once, would make the others'
@@ -50,7 +50,7 @@ class UploadProgress:
 
 @dataclass(frozen=True, slots=True)
 class CellBorders:
-    """The agents of a plan, those of them whose cell is not empty, and who are neighbours."""
+    """The agents of a plan, those with a cell that is not empty, and the pairs of neighbours."""
 
     agents: tuple[str, ...]
     owners: tuple[str, ...]
@@ -75,18 +75,18 @@ IsEnough = Callable[[Mapping[str, UploadProgress]], bool]
 class VirtualDeadline:
     """Deadline in simulated time: the edge waits `deadline_ns` from a frame's time on.
 
-    Computing then takes `compute_ns`. Simulated time alone decides what is late.
+    Computing then takes `compute_ns`. Only simulated time decides which chunks are late.
     """
 
     deadline_ns: int
     compute_ns: int
 
     def cut(self, frame: Frame, covers: IsEnough | None = None) -> tuple[Frame, int]:
-        """Returns the frame without what arrived too late, with its delay, and how much that was.
+        """Returns the frame without late parts, with its delay, and the number of late parts.
 
         The delay is that of the last arrival that was needed, or the deadline if something was
-        late. What names no arrival time came at once. With `covers`, chunks are needed only until
-        it says that they are enough.
+        late. Parts without an arrival time came at once. With `covers`, chunks are needed only
+        until it returns that they are enough.
         """
         latest_ns = frame.sim_time_ns + self.deadline_ns
         parts: list[Part] = [*frame.poses, *frame.found, *frame.chunks]
@@ -129,7 +129,7 @@ def _enough_ns(frame: Frame, covers: IsEnough) -> int:
 
 
 def _uploaded(frame: Frame, until_ns: int) -> dict[str, UploadProgress]:
-    """Returns how far the scans of all who announced one had come then."""
+    """Returns the upload progress of all announced scans at a time."""
     uploaded = dict.fromkeys(frame.scanning, UploadProgress(0, 0, -1))
     uploaded |= {boxes.agent: UploadProgress(1, 1, -1) for boxes in frame.found}
     for chunk in frame.chunks:  # in the order of chunks

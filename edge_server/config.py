@@ -60,7 +60,7 @@ class PlanConfig(Section):
 
 
 class MisbehaviourConfig(Section):
-    """Which agents are excluded."""
+    """Misbehaviour detection: which agents are excluded."""
 
     enabled: bool = Field(
         True, description="ours: agents whose data cannot be so are excluded; see reliability.md"

@@ -1,4 +1,4 @@
-"""Decoder pool: threads decode and place chunks on all cores, while others arrive."""
+"""Decoder pool: threads decode and place chunks on all cores, while others are received."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _KEPT_BYTES = 512 << 20
 
 
 def keep_freed_memory() -> None:
-    """Has the process keep what it frees, for the next frame, whichever thread works on it.
+    """Makes glibc keep freed memory in the process, for the next frame, in any thread.
 
-    A frame's arrays are large enough for glibc to give them back each time; to be given the same
-    pages anew, zeroed, can take a fourth of a frame's time. Other C libraries are left as they are.
+    A frame's arrays are large enough for glibc to give them back each time; to get the same pages
+    again, zeroed, can take a fourth of a frame's time. Other C libraries are left as they are.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
@@ -48,7 +48,7 @@ class PendingChunk:
     future: Future[Chunk]
 
     def chunk(self) -> Chunk:
-        """Waits until the chunk is decoded; raises what decoding it raised."""
+        """Waits until the chunk is decoded; raises the decoder's error."""
         return self.future.result()
 
 
@@ -75,7 +75,7 @@ class DecoderPool:
         return len(self._under_way)
 
     def put(self, scan: Scan, received_ns: int) -> list[PendingChunk]:
-        """Has a scan decoded; returns those, put before it, that it had to wait for."""
+        """Queues a scan for decoding; returns earlier ones that it had to wait for."""
         points = claimed_points(scan.payload)
         waited_for = []
         while not self._has_room(points):
@@ -86,12 +86,12 @@ class DecoderPool:
         return waited_for
 
     def done(self) -> Iterator[PendingChunk]:
-        """Yields what is decoded, up to the first chunk that is not."""
+        """Yields decoded chunks, up to the first that is not."""
         while self._under_way and self._under_way[0].future.done():
             yield self._under_way.popleft()
 
     def rest(self) -> Iterator[PendingChunk]:
-        """Yields all that is pending, as soon as it is decoded."""
+        """Yields all pending chunks, as soon as they are decoded."""
         while self._under_way:
             yield self._take()
 
@@ -118,6 +118,6 @@ class _CallerThread(Executor):
         future: Future[Any] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except Exception as error:  # noqa: BLE001 - whoever asks for the result is told
+        except Exception as error:  # noqa: BLE001 - raised to the caller by `result`
             future.set_exception(error)
         return future

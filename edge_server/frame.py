@@ -1,4 +1,4 @@
-"""One frame on its way through the edge: its chunks, its state, and what a stage is.
+"""Frames and chunks in the pipeline, their state, and the interface of a stage.
 
 Chunks and frames are ordered by agent, not by arrival. A stage works on one chunk, in any thread as
 soon as the chunk has arrived, or on the state of a whole frame.
@@ -39,12 +39,12 @@ class Chunk:
     """One chunk of a scan; each chunk stage returns it with more filled in.
 
     `points` (N, 3) are in the sensor frame, from the decoding of the `payload` on until they are
-    `placed` in the map frame.
-    `sensor_pose` (6,) is `map_SE3_sensor` as the agent estimates it. For `plan_frame` and
-    `ground_free` see `protocol.messages.Scan`. `size_bytes` is that of the payload, `returns` the
-    number of points it held. `structure` (M, 3) is what stands beside the road, in frames in which
-    that is taken (`edge_server.static_map.structure`). `spans` are those of the stages that it has
-    passed, in their order. A chunk that `is_undecodable` did arrive, but it shows nothing.
+    `placed` in the map frame. `sensor_pose` (6,) is `map_SE3_sensor` as the agent estimates it. For
+    `plan_frame` and `ground_free` see `protocol.messages.Scan`. `size_bytes` is that of the
+    payload, `returns` the number of points it held. `structure` (M, 3) are the static points beside
+    the road, in frames in which they are extracted (`edge_server.static_map.structure`). `spans`
+    are those of the stages that it has passed, in their order. A chunk that `is_undecodable` did
+    arrive, but has no points.
     """
 
     frame: int
@@ -98,14 +98,14 @@ class Chunk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentDetections:
-    """Boxes that an agent detected by itself, and when they arrived."""
+    """Boxes that an agent detected on board, and when they arrived."""
 
     objects: Objects
     received_ns: int
 
     @property
     def agent(self) -> str:
-        """Whose they are."""
+        """The agent that detected them."""
         return self.objects.agent
 
     @property
@@ -116,12 +116,12 @@ class AgentDetections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """A frame as far as it arrived. `complete` says whether all that is needed is there.
+    """The received parts of a frame. `complete` tells whether all needed parts arrived.
 
     `agents`, `poses` and `found` are sorted by agent, `chunks` by agent and index. The first part
     arrived at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
     announced a scan, whether it arrived or not. `delay_sim_ns` is known where links are virtual.
-    `signals` is what signals showed before it: by id a letter for each light.
+    `signals` are the signals' states before it: by id a letter for each light.
     """
 
     frame: int
@@ -138,7 +138,7 @@ class Frame:
     signals: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, excluded: set[str]) -> Frame:
-        """Returns the frame without all that some agents sent."""
+        """Returns the frame without the data of some agents."""
         if not excluded:
             return self
         return replace(
@@ -152,12 +152,12 @@ class Frame:
 
 @dataclass(slots=True, eq=False)
 class FrameState:
-    """What the stages know of one frame; each reads what earlier ones have filled in.
+    """State of one frame in the pipeline; each stage reads what earlier ones have filled in.
 
     A field that no stage has filled in yet raises AttributeError. `frame` begins with all that
-    arrived; `received` is what came from neighbouring regions, by region. `fused` are vehicles
-    in this frame, wherever they are, `tracks` those followed over frames, on the road once they
-    are counted, at their lane `positions`. `sensors` (S, 2) are the places of the sensors that
+    arrived; `received` are the border messages of neighbouring regions, by region. `fused` are
+    vehicles in this frame, wherever they are, `tracks` those followed over frames, on the road once
+    they are counted, at their lane `positions`. `sensors` (S, 2) are the places of the sensors that
     were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
     reason, `distrusted` names them, `drops` counts what else was left out, and `scores` and
     `alignments` are those to be published.
@@ -187,7 +187,7 @@ class FrameState:
 
     @contextmanager
     def timed(self, name: str) -> Iterator[None]:
-        """Records a span of what happens inside, or the parts that it is divided into inside."""
+        """Context manager that records a span, or the parts that it is divided into."""
         start_ns, already = time.monotonic_ns(), len(self.spans)
         yield
         if len(self.spans) == already:
@@ -195,7 +195,7 @@ class FrameState:
 
 
 class ChunkStage(ABC):
-    """A stage that needs one chunk and nothing of others; has no memory, any thread may run it."""
+    """A stage that needs one chunk alone; it is stateless, any thread may run it."""
 
     name: ClassVar[str]
 
@@ -205,7 +205,7 @@ class ChunkStage(ABC):
 
 
 class FrameStage(ABC):
-    """A stage that needs the whole frame. Its memory, if any, is its own.
+    """A stage that needs the whole frame. It may keep state.
 
     Frames pass in the order of their time, one after the other.
     """

@@ -1,4 +1,4 @@
-"""Fusion: agents' own poses are detections too, and two detections of one vehicle become one.
+"""Fusion: merges agents' own poses with detections, and removes duplicates.
 
 Chen et al. 2022 call two detections closer than a vehicle's length duplicates and drop the one
 farther from the junction. Lanes are 3.5 m wide, so that a radius of 4.5 m swallows the neighbour in
@@ -24,18 +24,18 @@ from perception.roadway import LEVEL_M
 from protocol.messages import AgentPose, Equipment, ObjectClass
 from protocol.plugins import Plugin
 
-CERTAIN_STD_M = 0.5  # poses better than this say by themselves which box is the agent's
+CERTAIN_STD_M = 0.5  # poses better than this determine by themselves which box is the agent's
 
 
 class Fusion(Protocol):
-    """Joins what was found in a frame; keeps nothing from one frame to the next."""
+    """Interface of a fusion: merges the detections of a frame; it is stateless."""
 
     def fuse(self, found: Vehicles, poses: list[AgentPose]) -> Vehicles:
         """Returns each vehicle once.
 
         Args:
-            found: (N,) boxes of the detector, then those that agents found for themselves; map
-                frame, in m; empty where nothing was found.
+            found: (N,) boxes of the detector, then those that agents detected on board; map frame,
+                in m; empty where nothing was found.
             poses: of the agents that reported them, sorted by agent, roadside units too
                 (`Equipment.NONE`); `from_poses` makes vehicles of those that are.
         """
@@ -89,7 +89,7 @@ class _CheckedFusion:
 def fuse(
     found: Vehicles, poses: list[AgentPose], *, centres: Floats, config: FusionConfig
 ) -> Vehicles:
-    """Joins what the LiDARs found with the agents' own poses; the order of either is no matter.
+    """Fuses LiDAR detections with the agents' own poses; the order of either does not matter.
 
     A pose wins over a LiDAR's box; one that may be metres off, a CV's, stands for the nearest box
     only. Of two boxes the one nearer to a junction's centre (C, 2 or 3) stays. The result has
@@ -99,9 +99,9 @@ def fuse(
 
 
 def join(parts: Sequence[Vehicles], *, centres: Floats, config: FusionConfig) -> Vehicles:
-    """Joins the vehicles that several edges found, as `fuse` does; their order is no matter.
+    """Fuses the vehicles of several edges, as `fuse` does; their order does not matter.
 
-    A pose claims boxes of those parts alone that do not know it: in the others it has.
+    A pose claims only boxes of parts that lack it: in the others it already has.
     """
     own = _without_twins(parts)
     left = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
@@ -122,7 +122,7 @@ def join(parts: Sequence[Vehicles], *, centres: Floats, config: FusionConfig) ->
 
 
 def _without_twins(parts: Sequence[Vehicles]) -> Vehicles:
-    """Returns the agents' poses of all parts, each agent's once, sorted by agent."""
+    """Returns the agents' poses of all parts without duplicates, sorted by agent."""
     all_of = sum(parts[1:], parts[0])
     first = {name: index for index, name in reversed([*enumerate(all_of.sources)])}
     first.pop(LIDAR, None)

@@ -1,4 +1,4 @@
-"""Lanes: vehicles' positions on them, counts, and how much of each lane sensors cover."""
+"""Lanes: positions of vehicles on them, counts per lane, and sensor coverage of lanes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ACROSS_M = 1.75  # a lane at right angles to the vehicle counts as this much far
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LanePositions:
-    """Where vehicles are: index into the map's lanes (N,), -1 off the road; metres along (N,)."""
+    """Lanes of vehicles: index into the map's lanes (N,), -1 off the road; metres along (N,)."""
 
     lane: Ints
     along_m: Floats
@@ -29,7 +29,7 @@ class LanePositions:
 
 
 class LaneIndex:
-    """The road map, prepared for questions about many points at once."""
+    """Spatial index of the lanes, for queries of many points at once."""
 
     def __init__(self, road_map: RoadMap) -> None:
         self._map = road_map
@@ -62,7 +62,7 @@ class LaneIndex:
         return [self._map.lanes[i].id if i >= 0 else "" for i in place.lane]
 
     def distances_m(self, place: LanePositions) -> Floats:
-        """Returns the way to the stop bar (N,), negative behind it; 0 where no way leads there."""
+        """Returns distances to the stop bar (N,), negative behind it; 0 without a path to it."""
         result = np.zeros(len(place.lane))
         for index, name in enumerate(self.names(place)):
             if name in self._start_m:
@@ -79,7 +79,7 @@ class LaneIndex:
         """Counts vehicles per incoming lane before a signal's stop bars, and per outgoing lane.
 
         A vehicle farther up counts for the incoming lane that its own lane leads to; where there
-        are several, for the one with the shortest way, so that no vehicle counts twice. One inside
+        are several, for the one with the shortest path, so that no vehicle counts twice. One inside
         the junction counts for the lane it is about to leave by.
         """
         reach = {"upstream_m": upstream_m, "downstream_m": downstream_m}
@@ -95,7 +95,7 @@ class LaneIndex:
         upstream_m: float,
         downstream_m: float,
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """Adds up weights (N,) of vehicles as `count` does vehicles."""
+        """Adds up weights (N,) of vehicles by lane, as `count` counts vehicles."""
         around = self.approaches[tls]
         before = dict.fromkeys(around.intersection.incoming, 0.0)
         behind = dict.fromkeys(around.intersection.outgoing, 0.0)
@@ -110,7 +110,7 @@ class LaneIndex:
         return before, behind
 
     def _starts(self) -> dict[str, float]:
-        """Returns by lane the way from its start to the stop bar of its own intersection."""
+        """Returns by lane the distance from its start to the stop bar of its own intersection."""
         found: dict[str, float] = {}
         for side in ("upstream", "downstream"):
             for one in self.approaches.values():
@@ -147,7 +147,7 @@ CoverageShares = dict[str, float]
 
 
 class LaneCoverage:
-    """Samples places on each lane that counts for a signal: what share do sensors cover?"""
+    """Sensor coverage: the share of sampled places on each counted lane that sensors cover."""
 
     def __init__(
         self, road_map: RoadMap, around: Approaches, *, upstream_m: float, downstream_m: float
@@ -206,7 +206,7 @@ def _within(places_m: Floats, owner: Ints, owners: int, sensors_m: Floats, range
 def _places(
     road_map: RoadMap, reaches: Mapping[str, Approach], low_m: float, high_m: float
 ) -> tuple[Floats, list[str]]:
-    """Returns places whose distance to the stop bar is between two, and whom each counts for."""
+    """Returns places whose distance to the stop bar is between two, and the lane of each."""
     places, owners = [np.zeros((0, 2))], []
     for lane in road_map.lanes:
         reach = reaches.get(lane.id)

@@ -1,4 +1,4 @@
-"""Map consistency: whether an agent's place, heading and ground fit the road map."""
+"""Map consistency: whether an agent's position, heading and ground fit the road map."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Misbehaviour detection: agents whose data cannot be so are excluded from the frame.
+"""Misbehaviour detection: agents with implausible data are excluded from the frame.
 
-Of each agent of a frame three pieces of evidence are scored, 0 to 1, each None where nothing speaks
-for or against: its motion, its place on the road, the ground in its cloud. The least of them is the
-frame's score; a mean over frames decides. Nothing here reads a clock or depends on the order of
-arrival. See docs/reliability.md for what it detects and what it does not.
+Three checks of each agent in a frame give a score, 0 to 1, or None where there is nothing to check:
+its motion, its position on the road, the ground in its cloud. The least of them is the frame's
+score; a mean over frames decides. Nothing here reads a clock or depends on the order of arrival.
+See docs/reliability.md for what it detects and what it does not.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from protocol.regions import RegionMap
 
 FALL = 0.3  # share of a worse frame's score that enters the mean
 RISE = 0.05  # of a better one's: an agent that was excluded returns only after a while
-BACK = 0.2  # how far over the threshold the mean must rise until then
+BACK = 0.2  # how far over the threshold the mean must rise to return
 MOUNT_M, MOUNT_RAD = 1.5, np.radians(5.0)  # between a roadside sensor and its mount
 FORGET_NS = 30_000_000_000
 MAX_REMEMBERED = 1024  # agents, twice as many as a frame may have
@@ -55,7 +55,7 @@ class TrustScore:
 
 @dataclass(slots=True)
 class Evidence:
-    """What one frame says of an agent; None where it says nothing, for or against."""
+    """Scores of an agent's checks in one frame; None where there is nothing to check."""
 
     motion: float | None = None
     place: float | None = None
@@ -63,20 +63,20 @@ class Evidence:
 
     @property
     def score(self) -> float:
-        """The least."""
+        """The least score."""
         known = (self.motion, self.place, self.ground)
         return min((one for one in known if one is not None), default=1.0)
 
     @property
     def worst(self) -> str:
-        """The name of the least."""
+        """The name of the check with the least score."""
         names = ("motion", "place", "ground")
         return next((name for name in names if getattr(self, name) == self.score), "nothing")
 
 
 @dataclass(slots=True, eq=False)
 class _Remembered:
-    """What is remembered of an agent from frame to frame."""
+    """State of an agent, kept from frame to frame."""
 
     trust: TrustScore
     motion: MotionCheck = field(default_factory=MotionCheck)
@@ -99,7 +99,7 @@ class _Sent:
 
     @property
     def std_m(self) -> float:
-        """How far off its place may be, as it claims."""
+        """Standard deviation of its position, as it claims."""
         return 0.0 if self.pose is None else min(self.pose.position_std_m, MOST_STD_M)
 
     @property
@@ -108,7 +108,7 @@ class _Sent:
 
 
 class Check(FrameStage):
-    """Remembers agents' scores; `mounts` are x, y, yaw (3,) of the roadside units, by agent."""
+    """Stage that scores agents; `mounts` are x, y, yaw (3,) of the roadside units, by agent."""
 
     name = "check"
 
@@ -141,7 +141,7 @@ class Check(FrameStage):
         state.frame = frame.without(excluded)
 
     def _remember(self, agent: str, now_ns: int) -> _Remembered:
-        """Returns an agent's memory, a new one if nothing came of it for long."""
+        """Returns an agent's state, a new one if nothing was received of it for long."""
         known = self._remembered.pop(agent, None)
         if known is None or now_ns - known.seen_ns > FORGET_NS:
             known = _Remembered(TrustScore(self._threshold))
@@ -233,7 +233,7 @@ def _at_mount(sensor_pose: Floats, mount: Floats) -> float:
 def _is_empty(chunks: Sequence[Chunk]) -> bool:
     """Whether a whole scan, of which no plan cut anything away, holds no point.
 
-    One that cannot be decoded is counted elsewhere; nobody can know what it showed.
+    One that cannot be decoded is counted elsewhere; its content is unknown.
     """
     if any(chunk.is_undecodable for chunk in chunks):
         return False

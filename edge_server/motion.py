@@ -24,7 +24,7 @@ RSU_M = 0.5  # a roadside unit may be surveyed anew, not moved
 RSU_RAD = math.radians(3.0)
 MOUNT_M = 0.5  # by how much a sensor may move on its vehicle
 MOUNT_RAD = math.radians(3.0)
-FORGET_NS = 3_000_000_000  # after so long an agent may have turned any way
+FORGET_NS = 3_000_000_000  # after so long an agent may have turned in any direction
 STEADY_FRAMES = 20  # in a new place, before it is accepted
 
 
@@ -86,7 +86,7 @@ class ClaimedPose:
 
 
 class MotionCheck:
-    """Remembers the last plausible pose of one agent, and what it claims since.
+    """Motion check of one agent: keeps its last plausible pose, and what it claims since.
 
     An agent that jumps is implausible until it has been steady in its new place for long enough:
     it may have restarted or relocalised.

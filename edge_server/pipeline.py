@@ -1,19 +1,19 @@
-"""The way of a frame, from payloads to counts per lane (Chen et al. 2022), as a list of stages.
+"""The edge pipeline, from payloads to counts per lane (Chen et al. 2022), as a list of stages.
 
     decode, place      each chunk by itself, in any thread, as soon as it has arrived
     sample             where poses are aligned: thins a chunk's points, as decode does
-    check              excludes agents whose data cannot be so; remembers scores
-    align              where asked for: corrects agents' poses; remembers the scene and offsets
-    merge              one cloud of all that are left
-    detect             a detector's vehicles; it names parts of its own, such as ground
+    check              excludes misbehaving agents; keeps scores
+    align              where configured: corrects agents' poses; keeps the static map and offsets
+    merge              one cloud of all remaining chunks
+    detect             vehicles by the detector; it names parts of its own, such as ground
     fuse               with agents' poses and detections; no duplicates
-    border             with what neighbouring regions found on the lanes that both know
-    track              gives vehicles ids and speeds; remembers those that nobody sees now
+    border             with detections of neighbouring regions on the lanes that both have
+    track              gives vehicles ids and speeds; keeps those that no sensor sees now
     count              on the road, per lane
 
 `begin` runs the stages up to what neighbours are sent, `finish` those after it. Each stage is
 entered once and fills in its part of the frame's state. A stage is added by adding it to the list;
-its span follows from its name. Nothing here knows a network.
+its span follows from its name. Nothing here uses a network.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ from protocol.messages import Detections, LaneCounts, ObjectClass, Scan, Span
 from protocol.regions import RegionMap
 
 SPEED_KNOWN_NS = 500_000_000
-"""So long after its first detection the speed of a track is worth something."""
+"""Age, s, from which on a track's speed is reliable."""
 
 
 class Pipeline:
-    """Runs stages in their order: those of chunks, then those of the frame."""
+    """Runs the stages in order: those of chunks, then those of the frame."""
 
     def __init__(self, stages: Sequence[Stage]) -> None:
         """Takes the stages.
@@ -123,7 +123,7 @@ class Pipeline:
         return self.finish(self.begin(frame))
 
     def begin(self, frame: Frame) -> FrameState:
-        """Runs the stages of a frame up to what its neighbours are sent."""
+        """Runs the stages of a frame up to the border message."""
         chunks = [self.prepare(chunk) for chunk in frame.chunks]
         state = FrameState(replace(frame, chunks=chunks))
         for stage in self._of_frame[: self._border]:
@@ -156,7 +156,7 @@ def stages_of(
         config: the scenario's section `edge`.
         seed: of the scenario.
         detector: makes the detector.
-        has_lidars: whether any agent is meant to send what its LiDAR measures.
+        has_lidars: whether any agent is configured to send LiDAR data.
         mounts: by agent x, y and yaw (3,) of the roadside units' mounts, map frame.
         strips: those between the region and its neighbours, if it has any.
     """
@@ -193,7 +193,7 @@ def _alignment(
 
 
 class Merge(FrameStage):
-    """Brings all chunks together, those with ground in them and those without apart."""
+    """Merges all chunks to one cloud, those with and without ground separately."""
 
     name = "merge"
 
@@ -249,7 +249,7 @@ class Fuse(FrameStage):
         state.sensors = np.concatenate([scans, self._detecting_agents(state.frame)])
 
     def _detecting_agents(self, frame: Frame) -> Floats:
-        """Returns where the agents stand (N, 2) that sent boxes, as far as that is known."""
+        """Returns the known positions (N, 2) of the agents that sent boxes."""
         places = {name: place[:2] for name, place in self._mounts.items()}
         places |= {pose.agent: pose.pose[:2] for pose in frame.poses}
         known = [places[one.agent] for one in frame.found if one.agent in places]
@@ -257,7 +257,7 @@ class Fuse(FrameStage):
 
 
 class Border(FrameStage):
-    """Joins what the region found with what its neighbours found where they meet."""
+    """Fuses the region's vehicles with those of its neighbours in the border strips."""
 
     name = BORDER
 
@@ -375,7 +375,7 @@ class Count(FrameStage):
         """Returns how much of each lane was covered by sensors whose scan or boxes arrived.
 
         Where there are LiDARs, a frame to which none contributed covers nothing. Where there are
-        none, vehicles report themselves alone, and coverage means nothing.
+        none, vehicles only report themselves, and coverage is undefined.
         """
         if not self._has_lidars:
             return {}, {}

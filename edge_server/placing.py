@@ -1,6 +1,6 @@
 """Decode and place: the stages that turn a payload into points on the road, in the map frame.
 
-Both need one chunk alone, so that threads run them while other chunks are still on their way. The
+Both need one chunk alone, so that threads run them while other chunks are still in transit. The
 paper's merge by differences of Euler angles needs a reference sensor: it places a whole frame.
 """
 

@@ -27,12 +27,12 @@ FORGET_UPLINK_FRAMES = 100
 LEAST_MBPS, MOST_MBPS = 0.1, 1000.0
 SMALL_BYTES = 1500  # a packet: its time is the delay, that of larger ones the rate
 SMALL_KEPT = 50
-_LONGEST_NS = 10_000_000_000  # between sending and arrival; more, or less than 0: other clocks
+_LONGEST_NS = 10_000_000_000  # between sending and arrival; more, or less than 0: different clocks
 
 
 @dataclass(slots=True)
 class _History:
-    """One agent's aged sums and the delays of its last small messages."""
+    """One agent's exponentially aged sums and the delays of its last small messages."""
 
     frame: int
     size_bytes: float = 0.0
@@ -43,7 +43,7 @@ class _History:
 
 
 class Bandwidth:
-    """Estimates what each agent's uplink carries, from what arrives at the edge.
+    """Estimates each agent's uplink rate from the arrival of its chunks at the edge.
 
     An uplink is busy with a chunk from when the chunk was sent, or from when the one before it had
     arrived if that is later, until it has arrived. The rate is the sum of bytes over the sum of
@@ -60,7 +60,7 @@ class Bandwidth:
     def add(
         self, agent: str, frame: int, size_bytes: int, *, sent_ns: int, received_ns: int
     ) -> None:
-        """Adds a chunk, late or not; beyond `MAX_UPLINKS` agents are not remembered."""
+        """Adds a chunk, late or not; agents beyond `MAX_UPLINKS` are not kept."""
         history = self._histories.get(agent)
         if history is None:
             if len(self._histories) >= MAX_UPLINKS:
@@ -140,7 +140,7 @@ class SensorSites:
         self._sites: dict[str, SensorSite] = {}
 
     def add(self, message: AgentPose | Scan) -> None:
-        """Adds where an agent claims to be; beyond `MAX_SITES` agents are not remembered."""
+        """Adds an agent's claimed position; agents beyond `MAX_SITES` are not kept."""
         known = self._sites.get(message.agent)
         if known is None and len(self._sites) >= MAX_SITES:
             return
@@ -154,7 +154,7 @@ class SensorSites:
         self._sites[message.agent] = site
 
     def of(self, agents: Sequence[str], frame: int) -> dict[str, SensorSite]:
-        """Returns the sites of those agents that are known; forgets agents that fell silent."""
+        """Returns the known sites of these agents; forgets agents that stopped sending."""
         silent = [a for a, site in self._sites.items() if site.source[0] < frame - SITE_AGE_FRAMES]
         for agent in silent:
             del self._sites[agent]
@@ -167,7 +167,7 @@ _BEYOND_M = 600.0  # around the lanes: farther than any sensor on the road sees
 
 
 class Planner:
-    """Plans frame by frame. In lockstep, nothing that a clock measured enters a plan.
+    """Makes upload plans frame by frame. In lockstep, nothing that a clock measured enters a plan.
 
     There, uplink rates are known on virtual links alone, in simulated time.
     """
@@ -189,13 +189,13 @@ class Planner:
 
     @property
     def ends_early(self) -> bool:
-        """Whether frames may end before all chunks came: they take time and come in an order."""
+        """Whether frames may end before all chunks arrived: these take time and arrive in order."""
         both = (self._vehicle, self._roadside)
         in_order = any(policy.cells and policy.chunks > 1 for policy in both)
         return in_order and self._config.early_end and (self._is_virtual or not self._lockstep)
 
     def plans(self, frame: Frame, enough_sim_ns: int | None = None) -> list[Plan]:
-        """Returns what every agent that scanned in a frame shall send from `AHEAD_FRAMES` later on.
+        """Returns the plans, from `AHEAD_FRAMES` later on, of all agents that scanned in a frame.
 
         In lockstep these are the agents with cells alone, since the others need no plan. Over
         virtual links the edge has had enough of the frame since `enough_sim_ns`.
@@ -232,7 +232,7 @@ class Planner:
         return plans
 
     def covers(self, uploaded: Mapping[str, UploadProgress]) -> bool:
-        """Whether a frame needs no more of its scanning agents than what they have sent.
+        """Whether the chunks that arrived are enough for a frame.
 
         That is so if it holds by any plan that one of them followed.
         """
@@ -240,7 +240,7 @@ class Planner:
         return any(self._covers_by(plan, uploaded) for plan in plans)
 
     def _covers_by(self, plan: int, uploaded: Mapping[str, UploadProgress]) -> bool:
-        """Judges by one plan; who followed another counts once all came that it sees.
+        """Decides by one plan; an agent that followed another counts once its whole scan arrived.
 
         Of newcomers that the plan did not know, nothing is needed; of agents that have no cells,
         all is.
@@ -281,7 +281,7 @@ class Planner:
 
 
 def borders_of(agents: list[str], sites: Floats, weights_m2: Floats, box: Floats) -> CellBorders:
-    """Returns who borders on whom in a plan."""
+    """Returns the cell borders of a plan: which agents are neighbours."""
     plain = cells(sites, weights_m2, box, border=PLAIN)
     owners = tuple(agent for agent, cell in zip(agents, plain, strict=True) if len(cell))
     pairs = partners(sites, weights_m2, box)

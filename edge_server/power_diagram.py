@@ -1,4 +1,4 @@
-"""Who uploads which part of the scene: cells of a power diagram around the agents (EMP, 2021).
+"""Partition of the scene between agents: cells of a weighted power diagram (EMP, 2021).
 
 A place belongs to the agent with the least |place - site|^2 - weight (ties to the first). Weights
 are in m^2. With b the agent's uplink rate, B the geometric mean of all rates and L the median of
@@ -8,13 +8,13 @@ the distances from each site to its nearest neighbour,
 
 lies between -L^2 and L^2, whatever the rates. Then weights are lowered until those of any two
 agents at the distance D differ by at most D^2 / 2: the border between two agents crosses the line
-between them at a quarter to three quarters of the way, so that nobody, however fast its uplink,
-takes the place where another stands. Equal rates give equal weights, a Voronoi diagram.
+between them at a quarter to three quarters of D, so that no agent, however fast its uplink, gets
+the place where another stands. Equal rates give equal weights, a Voronoi diagram.
 
 REAP draws each border three times: as if one agent's rate were overestimated by alpha and the
 other's underestimated, as estimated, and the other way round. The margins are those of the formula
-with the distance to the agent's own nearest neighbour for L: about 7 % of the way between two far
-agents for an alpha of 0.3, and every site stays within its tightest cell (alpha up to 0.4).
+with the distance to the agent's own nearest neighbour for L: about 7 % of the distance between two
+far agents for an alpha of 0.3, and every site stays within its tightest cell (alpha up to 0.4).
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def neighbours(sites: Floats, weights_m2: Floats, box: Floats) -> list[tuple[int
         polygon, origin = corners[i, : counts[i]], origins[i, : counts[i]]
         edges_m = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
         for j in origin[edges_m > LEAST_EDGE_M].tolist():
-            if j >= 0 and counts[j] > 0:  # of two agents at one place, one has nothing
+            if j >= 0 and counts[j] > 0:  # of two agents at one place, one has no cell
                 pairs.add((min(i, j), max(i, j)))
     return sorted(pairs)
 
@@ -107,7 +107,7 @@ def _apart_m2(sites: Floats) -> Floats:
 def _levelled(weights_m2: Floats, steps_m2: Floats) -> Floats:
     """Lowers weights (N,) until none exceeds another by more than the step between the two.
 
-    Dijkstra's algorithm from all agents at once: what is reached from the lowest comes first.
+    Dijkstra's algorithm from all agents at once: the lowest is processed first.
     """
     lowered, open_ = weights_m2.copy(), np.ones(len(weights_m2), np.bool_)
     for _ in range(len(lowered)):

@@ -49,7 +49,7 @@ _TIMES_BYTES = 200  # of one part, besides its agent's id, which stands there th
 
 
 class EdgeRole:
-    """Chunks are decoded and placed by threads as they arrive, while others are on their way.
+    """The edge role: threads decode and place chunks as they arrive.
 
     The thread of the loop does all else, once the frame is complete.
     """
@@ -118,7 +118,7 @@ class EdgeRole:
         self._pipeline.run(Frame(0, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a presence or a part of a frame; an undecodable scan counts as empty."""
+        """Handles a presence or a part of a frame; an undecodable scan counts as empty."""
         if isinstance(item, Presence):
             self._hear(item)
             return
@@ -142,7 +142,7 @@ class EdgeRole:
                 self._signals.note(state)
 
     def _is_its_own(self, item: Envelope) -> bool:
-        """Whether a message names the sender that its key names, and an agent that is the sender's.
+        """Whether a message's sender is that of its key, and its agent belongs to the sender.
 
         With access control, a process can publish under its own id alone.
         """
@@ -249,7 +249,7 @@ class EdgeRole:
         self._assembler.add_chunk(chunk)
 
     def _publish_plans(self, frame: Frame, cut: Frame) -> None:
-        """Goes first, before the frame is processed: agents learn that the frame is over.
+        """Publishes plans before the frame is processed: agents learn that the frame is over.
 
         In lockstep an agent waits for it before it begins the next frame.
         """
@@ -302,6 +302,6 @@ def _arrivals(frame: Frame) -> list[Arrival]:
 
 
 def _waits(frame: Frame) -> list[Span]:
-    """Returns how long the frame was waited for, and the stages of its chunks."""
+    """Returns the waiting time of the frame, and the stages of its chunks, as spans."""
     wait = Span(stage="wait", start_ns=frame.first_ns, end_ns=frame.ready_ns)
     return [wait, *(span for chunk in frame.chunks for span in chunk.spans)]

@@ -1,4 +1,4 @@
-"""What the edge reads from a scenario beside its own section: agents, mounts, links."""
+"""Settings of other scenario sections that the edge needs: agents, mounts, links."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from sensing.upload_policies import policy_of
 
 
 def has_lidars(scenario: dict[str, Any], mounts: Sequence[Any]) -> bool:
-    """Whether agents send what their LiDAR measures, present yet or not; `mounts` are the region's.
+    """Whether any agent sends LiDAR data, present yet or not; `mounts` are the region's.
 
-    The scenario decides, not what has arrived: a scan that never arrives is not one that does not
-    exist.
+    The scenario decides, not what has arrived: a missing scan may have been lost.
     """
     upload = UploadConfig.model_validate(scenario.get("upload", {}))
     is_there = {

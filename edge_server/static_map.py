@@ -1,8 +1,8 @@
-"""Static map: what stands beside the road, learnt from the scans of agents that are in place.
+"""Static map: voxels beside the road, learnt from scans of agents whose poses are right.
 
-A scan is thinned to its structure: what lies off the road, one point a voxel; what is on the road
-moves, or will. Voxels that were seen again and again are the map. Scans are registered to it by
-point-to-plane ICP (`small_gicp`: Koide 2024, Journal of Open Source Software 9(100), 6948).
+A scan is thinned to its structure: points off the road, one a voxel; objects on the road move, or
+will. Voxels that were seen repeatedly are the map. Scans are registered to it by point-to-plane ICP
+(`small_gicp`: Koide 2024, Journal of Open Source Software 9(100), 6948).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _SCAN_BITS = 13
 
 
 def structure(points: Floats32, pose: Floats, roadway: Roadway) -> Floats32:
-    """Returns what stands beside the road in a scan, thinned.
+    """Returns the static structure beside the road in a scan, thinned.
 
     Args:
         points: (N, 3), sensor frame.
@@ -132,7 +132,7 @@ class StaticMap:
         return self._target is not None
 
     def add(self, points: Floats) -> None:
-        """Takes a scan's structure (M, 3), map frame."""
+        """Adds a scan's structure (M, 3), map frame."""
         if not len(points):
             return
         if not len(self._keys):
@@ -160,7 +160,7 @@ class StaticMap:
             points: (M, 3), as `structure` returns them; some of them are used if they are many.
             sensor_m: (3,) where the agent takes its sensor to be, map frame.
             guess: (4,) the offset to begin with.
-            reach_m: how far from the map a point may be to be drawn to it; 0 has the scan stay.
+            reach_m: how far from the map a point may be to be matched; 0 does not move the scan.
         """
         if self._target is None:
             raise RuntimeError("there is no map yet to register a scan to")
@@ -236,7 +236,7 @@ def _numbers(points: Floats) -> Ints:
 def _covariance(information: Floats) -> Floats:
     """Returns the covariance (4, 4) of x, y, z and yaw, whatever the tilt.
 
-    Where the information (6, 6) of a registration says nothing, a very large one.
+    Very large in directions in which the information (6, 6) of a registration is zero.
     """
     prior = np.diag([TILT_STD_RAD**-2, TILT_STD_RAD**-2, 1e-2, 1e-4, 1e-4, 1e-4])
     order = [3, 4, 5, 2]

@@ -1,6 +1,6 @@
-"""The stage that tracks: what sensors looked through, and ids that pass from region to region.
+"""The tracking stage: sight lines of sensors, and track ids passed from region to region.
 
-Beside it, what signals show, and which agents are no longer trusted.
+It also keeps what signals show, and which agents are no longer trusted.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REGION_BIT, FRAME_BIT = 50, 20
 """An id is the region's number, the frame in which its edge began, and a number from 1."""
 REACH_M = RINGS * RING_M  # how far away an agent may have made up vehicles
 STATES = 16  # of a signal that are kept
-RECENT_FRAMES = 3  # after so many without a state nobody knows what a signal shows
+RECENT_FRAMES = 3  # after so many without a state the signal's state is unknown
 
 
 class ShownSignals:
@@ -38,7 +38,7 @@ class ShownSignals:
         self._states: dict[str, dict[int, str]] = {}
 
     def note(self, state: SignalState) -> None:
-        """Takes a signal's state of a frame."""
+        """Stores a signal's state of a frame."""
         states = self._states.setdefault(state.tls, {})
         states[state.frame] = state.state
         if len(states) > STATES:
@@ -55,10 +55,10 @@ class ShownSignals:
 
 
 class Track(FrameStage):
-    """Follows vehicles from frame to frame: who is where, how fast, and still there if hidden.
+    """Stage that tracks vehicles from frame to frame.
 
-    Begins with the first frame that an agent takes part in, and anew where time runs backwards:
-    that frame's world is another one.
+    It begins with the first frame that an agent takes part in, and resets where time runs
+    backwards: that frame is of a new run of the world.
     """
 
     name = "track"
@@ -110,7 +110,7 @@ class Track(FrameStage):
         return tracks
 
     def _distrust(self, tracker: Tracker, state: FrameState) -> None:
-        """Ends what agents showed that are excluded from this frame on; remembers where all are."""
+        """Distrusts tracks of agents that are excluded from this frame on; stores all positions."""
         new = state.distrusted - self._distrusted
         known = [self._places[name] for name in sorted(new) if name in self._places]
         if new:
@@ -121,7 +121,7 @@ class Track(FrameStage):
         self._places = places
 
     def _sight_lines(self, state: FrameState) -> SightLines | None:
-        """Returns what the scans of a frame show; None where agents sent boxes instead."""
+        """Returns the sight lines of a frame's scans; None where agents sent boxes instead."""
         if state.frame.found:
             return None
         chunks: dict[str, list[Chunk]] = {}
@@ -155,7 +155,7 @@ def _nearest(points: Floats32, x_m: float, y_m: float) -> int:
 
 
 def _tracks(message: BorderObjects) -> Tracks:
-    """Returns the tracks that a neighbour told of."""
+    """Returns the tracks in a neighbour's message."""
     number = len(message.track_ids)
     nothing = np.zeros(number)
     coasted_s = message.track_coasted_s.astype(np.float64)

@@ -20,7 +20,7 @@ from sensing.world_view import WorldView
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Unit:
-    """A roadside unit: where its sensor is, where it was surveyed, and how late its clock is."""
+    """A roadside unit: true and surveyed pose of its sensor, and its clock error."""
 
     uplink: LidarUplink
     map_SE3_sensor: SE3
@@ -57,11 +57,11 @@ class InfraRole:
         self._units.append(_Unit(uplink, true, surveyed, clock_error_s(config, seed, mount.id)))
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a tick or the end."""
+        """Handles a tick or the end."""
         self._station.take(item)
 
     def poll(self) -> None:
-        """Senses and publishes for the newest tick."""
+        """Scans and uploads for the newest tick."""
         if view := self._station.pop():
             self._run_frame(view)
         self._station.report(view)

@@ -3,7 +3,7 @@
 - `sites`: random draws of a junction with its traffic, scene and sensors
 - `scanner`: simulates them, or a user's net or scenario, and yields labelled scans
 - `kitti`: a scan's labels in KITTI's format
-- `kitti_object`: clouds and labels of others, laid out as KITTI's object benchmark
+- `kitti_object`: reader of clouds and labels in the layout of KITTI's object benchmark
 - `dataset`: the files of a dataset, and its reader
 - `generate`: writes a dataset (`cpnet dataset`)
 - `examples`: draws training windows from samples, with the targets of their anchors

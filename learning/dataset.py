@@ -1,4 +1,4 @@
-"""A dataset on disk: its files, what a line of each holds, and the reader.
+"""A dataset on disk: its files, their line formats, and the reader.
 
 KITTI's layout, plus where each scan was taken and on which road:
 
@@ -35,8 +35,8 @@ from sensing.point_files import read_points
 class SensorScan:
     """One LiDAR's scan: points (N, 3) in the sensor frame.
 
-    `map_SE3_sensor` is what the agent believes, `own` the index of the vehicle that carries the
-    sensor among the sample's boxes; None at the roadside.
+    `map_SE3_sensor` is the agent's estimate, `own` the index of the vehicle that carries the sensor
+    among the sample's boxes; None at the roadside.
     """
 
     agent: str

@@ -83,7 +83,7 @@ def _assign(
     """Gives each anchor the box it overlaps most, turned to lie along the box or across it.
 
     An anchor within `_OBLIQUE_RAD` of a box's yaw lies along it. A box between both anchors' yaws
-    has both, so that which of them it is need not be guessed.
+    has both, so that the choice between them is not arbitrary.
     """
     low_x, low_y, step_m, length_m, width_m = grid
     for index in range(boxes.shape[0]):
@@ -140,7 +140,7 @@ def _claim_best(
 SURE_POINTS = 3  # with fewer, a vehicle is not required
 WIDE_M = 60.0  # how far beyond the lanes the road's height is known
 FENCE_M = 0.5
-OFF_M = 25.0  # a window's middle from what it was chosen for
+OFF_M = 25.0  # a window's middle from the point it was chosen for
 LIFT_STD_M = 0.05  # the road's height is not known better
 _BELOW_M, _ABOVE_M = 2.0, 5.0
 
@@ -217,7 +217,7 @@ def example_of(
 
 @dataclass(frozen=True, slots=True)
 class _Thinning:
-    """Which points are left out: off the road, near the ground (as senders do), or at random."""
+    """Augmentation that removes points: off the road, near the ground (as senders), at random."""
 
     fenced: bool
     least_m: float
@@ -235,7 +235,7 @@ class _Thinning:
 
 
 class _Turn:
-    """A turn about the vertical, perhaps a mirror, and a little stretching."""
+    """Augmentation by rotation about the vertical, perhaps mirroring, and a little scaling."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.angle_rad = rng.uniform(0, 2 * np.pi)
@@ -279,7 +279,7 @@ def _gather(
     middle: Floats,
     reach_m: float,
 ) -> tuple[Floats32, Floats32]:
-    """Returns what is left near the middle, turned about it: points (N, 3) and heights (N,)."""
+    """Returns the points (N, 3) kept near the middle, turned about it, and heights (N,)."""
     room = sum(len(sample.points[scan]) for scan in scans)
     points, height_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
     frame = np.array([*middle, reach_m, *turn.matrix.reshape(-1), turn.scale])

@@ -181,7 +181,7 @@ def _generated(parts: Path, spec: DatasetSpec, jobs: int) -> Iterator[tuple[Path
 
 
 def _ignore_interrupt() -> None:
-    """Leaves Ctrl-C to the process that collects."""
+    """Ignores Ctrl-C in workers: the collecting process handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

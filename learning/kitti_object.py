@@ -1,4 +1,4 @@
-"""KITTI's object benchmark on disk: clouds, labels and calibration of frames that anybody made.
+"""Reader of KITTI's object benchmark layout: clouds, labels and calibration of frames.
 
 ```
 velodyne/NAME.bin   or another cloud that `sensing.point_files` reads
@@ -28,7 +28,7 @@ KINDS = (
 )  # fmt: skip
 DONT_CARE = "DontCare"
 _LABEL_FIELDS = 15
-_NOWHERE_M = -999.0  # where KITTI puts what has no place in space, and less
+_NOWHERE_M = -999.0  # KITTI's coordinate of an object without position, and less
 _NEAREST_M = 0.1  # before the camera
 
 

@@ -108,7 +108,7 @@ class JunctionScanner:
                 yield self._scan((frame, name, "vehicle"), poses, then, boxes_m)
 
     def _at_clock(self, bodies: TrafficState, agent: str) -> TrafficState:
-        """Returns the bodies when an agent scans: its clock is off."""
+        """Returns the bodies at the time of an agent's scan, by its clock error."""
         late_s = clock_error_s(self._sensors.pose, self.site.seed, agent)
         ahead_m = bodies.speeds_mps.astype(np.float64) * late_s
         return replace(bodies, poses=driven(bodies.poses, ahead_m)) if late_s else bodies
@@ -137,7 +137,7 @@ class JunctionScanner:
         return sorted(int(index) for index in rng.choice(near, count, replace=False))
 
     def _on_roof(self, frame: int, name: str, pose: Floats, roof_m: float) -> tuple[SE3, SE3]:
-        """Returns where the sensor of a CAV is and where it is believed to be."""
+        """Returns the true and the estimated pose of a CAV's sensor."""
         height_m = stream(self.site.seed, "roof", name).uniform(*self._sensors.roof_m)
         height_m = max(height_m, roof_m + _OVER_ROOF_M)
         estimator = PoseEstimator(self._sensors.pose, self.site.seed, name, Equipment.CAV)
@@ -240,8 +240,8 @@ def samples_on(
 def scanner_of(scenario: dict[str, Any], samples: int) -> JunctionScanner:
     """Returns the junction of a scenario whose every key has its value, with its sensors.
 
-    Traffic runs on the fixed plan. Mounts, LiDARs, pose errors and seed are the scenario's; who
-    carries a LiDAR is drawn anew at every moment, up to five vehicles near the junction.
+    Traffic runs on the fixed plan. Mounts, LiDARs, pose errors and seed are the scenario's; the
+    vehicles with a LiDAR are drawn anew for every sample, up to five near the junction.
 
     Raises:
         ConfigError: its files cannot be read, or it plays a recording.

@@ -49,7 +49,7 @@ class Site(Section):
 
 
 World = dict[str, Any]
-"""Sections of a scenario that say what the world is like: traffic, lidar, pose, scene."""
+"""Scenario sections that describe the world: traffic, lidar, pose, scene."""
 
 
 def draw_site(
@@ -73,7 +73,7 @@ def draw_site(
                 edge: round(float(rng.uniform(120, 650)), 1) for edge in approaches
             },
             vehicles=_vehicles(rng),
-            cav_rate=0.0,  # who carries a LiDAR is drawn anew at every moment
+            cav_rate=0.0,  # the vehicles with a LiDAR are drawn anew for every sample
             radius_m=300.0,
         ),
         scene=_scene(rng, furniture_per_100m * stream(seed, "furniture", number).random()),
@@ -101,7 +101,7 @@ def _in_world(site: Site, world: World, rng: np.random.Generator) -> Site:
 
 _DRAWN = {"step_s", "demand_vph_per_lane", "cav_rate", "radius_m"}
 _VARIED_SHARE = (0.3, 3.0)
-_RARE_SHARE = (1.0, 6.0)  # of what is neither car nor van, so that there is enough to learn from
+_RARE_SHARE = (1.0, 6.0)  # of classes other than car and van, to have enough to learn from
 _VARIED_SIZE = (0.93, 1.07)
 
 

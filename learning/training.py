@@ -39,14 +39,14 @@ _CGROUP_MAX = Path("/sys/fs/cgroup/memory.max")  # a container's limit, or "max"
 
 
 def memory_bytes(cgroup_max: Path = _CGROUP_MAX) -> int:
-    """Returns how much memory there is: the machine's, or less where a container is given less."""
+    """Returns the available memory: the machine's, or the limit of the container."""
     machine_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     limit = cgroup_max.read_text().strip() if cgroup_max.is_file() else "max"
     return min(machine_bytes, int(limit)) if limit.isdecimal() else machine_bytes
 
 
 class PlacedSamples:
-    """One split of a data set; many threads may ask it."""
+    """One split of a data set, in memory; thread-safe."""
 
     def __init__(self, dataset: Dataset, split: Split) -> None:
         self._room_bytes = KEPT_SHARE * memory_bytes()
@@ -131,7 +131,7 @@ _OPTIMISER_STATE = ("exp_avg", "exp_avg_sq", "step")
 
 
 class SampleSource(Protocol):
-    """Moments ready to draw windows from."""
+    """Interface of samples from which windows are drawn."""
 
     def __len__(self) -> int:
         """How many there are."""
@@ -173,7 +173,7 @@ class StepLosses:
 
 
 class Trainer:
-    """Holds a network and its optimiser; `run` goes on from where it was left."""
+    """A network with its optimiser; `run` continues from the last step."""
 
     def __init__(self, config: PillarsConfig, recipe: Recipe, device: torch.device) -> None:
         self.recipe = recipe
@@ -236,7 +236,7 @@ class Trainer:
         temporary.replace(folder / _STATE)
 
     def begin_with(self, network: PointPillars, path: Path) -> None:
-        """Takes a network's weights, read from a file.
+        """Loads initial weights from a file.
 
         Raises:
             ConfigError: it has another shape or other anchors.
@@ -246,7 +246,7 @@ class Trainer:
         self.network.load_state_dict(network.state_dict())
 
     def resume(self, folder: Path) -> bool:
-        """Takes up a state of the same recipe; False if there is none.
+        """Resumes from a state of the same recipe; False if there is none.
 
         Raises:
             ConfigError: the state is broken.

@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 class RelayRole:
     """Serves the connections of one kind of agent, which the process's id ends with.
 
-    A connection does not say whose it is: channels are drawn in the order in which agents connect.
+    A connection does not identify its agent: channels are drawn in the order of connecting.
     """
 
     def __init__(self, context: Context, shaper: Shaper) -> None:

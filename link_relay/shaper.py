@@ -1,10 +1,10 @@
-"""A TCP relay whose connections behave like links.
+"""A TCP relay that shapes connections like links: rate, delay and packet loss.
 
 Towards the edge: bytes leave at the channel's rate, one after the other, and travel for half a
 round trip. No more is read than has left and the receive buffer is small, so that TCP holds the
 sender back and the queue stays with the sender. Where packets are lost, the window of a computed
 TCP decides what is read and when it arrives (`sensing.tcp_sender`). Towards the agent: half a round
-trip at any rate, for what goes there is small.
+trip at any rate, because messages to agents are small.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MOST_BYTES = 65_536
 BUFFER_NS = 20_000_000  # what the receive buffer may hide from the sender, in the link's time
 LEAST_BUFFER_BYTES = 4096
 MOST_BUFFER_BYTES = 1 << 20
-LINE_CHUNKS = 1024  # on their way: bounds memory
+LINE_CHUNKS = 1024  # in transit: bounds memory
 PART_NS = 500_000  # that a part of a packet waits for its rest
 SLACK_NS = 5_000_000  # a timer that fires late does not slow the link
 _log = logging.getLogger(__name__)
@@ -91,7 +91,7 @@ class Shaper:
             await asyncio.gather(*self._tasks, return_exceptions=True)
 
     async def _relay(self, agent: socket.socket, number: int) -> None:
-        """Passes on what arrives on the connection of this number, both ways, and closes it."""
+        """Relays the connection of this number in both directions, and closes it."""
         channel = self._draw(number)
         edge: socket.socket | None = None
         directions: list[asyncio.Task[None]] = []
@@ -218,7 +218,7 @@ class Shaper:
         await asyncio.wait({receiving}, timeout=timeout_s)
 
     async def _receive(self, source: socket.socket, size: int) -> tuple[bytes, bool]:
-        """Returns what came, and whether it had to be waited for."""
+        """Returns the received bytes, and whether it had to wait for them."""
         try:
             return source.recv(size), False
         except BlockingIOError:
@@ -248,7 +248,7 @@ def _earlier(sender: TcpSender, time_ns: int | None) -> int | None:
 
 
 def _buffer_bytes(channel: Channel) -> int:
-    """Returns what a channel takes in `BUFFER_NS` on average, within what a buffer can be."""
+    """Returns what a channel takes in `BUFFER_NS` on average, within the limits of a buffer."""
     period_ns = channel.rate_bps.period_ns
     mean = channel.bytes_in(0, period_ns) * BUFFER_NS // period_ns
     return min(max(mean, LEAST_BUFFER_BYTES), MOST_BUFFER_BYTES)

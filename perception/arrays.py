@@ -1,7 +1,7 @@
 """Array types that the stages share.
 
 Compiled loops over points assert how many columns an array has: only then does the compiler know
-how far apart points lie, and works on eight of them at once.
+the stride, and vectorises over eight points.
 """
 
 import numpy as np

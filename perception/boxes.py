@@ -1,4 +1,4 @@
-"""Oriented boxes: one per cluster, completed to the usual size of its class; overlap.
+"""Oriented bounding boxes: one per cluster, completed to the usual size of its class; IoU, NMS.
 
 The direction is searched by the closeness criterion of Zhang et al. 2017 ("Efficient L-shape
 fitting for vehicle detection using laser scanners"), with the road's direction as a prior; where
@@ -26,7 +26,7 @@ from perception.parallel import each, threads
 from perception.roadway import Roadway
 
 FIT_POINTS = 160  # of a cluster at most: more do not change the direction
-FEW_POINTS = 12  # fewer tell none
+FEW_POINTS = 12  # fewer determine none
 STEPS = 15  # of 3 degrees, to either side
 PRIOR = 0.35  # how much less a direction counts that is 45 degrees off the road's
 EDGE_M = 0.08  # points this close to an edge lie on it
@@ -57,7 +57,7 @@ def fit_boxes(
     sensors: Floats,
     completed: bool = True,
 ) -> Vehicles:
-    """Boxes clusters of points (N, 3), map frame, over ground at the heights (N,).
+    """Fits boxes to clusters of points (N, 3), map frame, over ground at the heights (N,).
 
     A completed box stands on the ground, reaches up to its highest point and has at least the usual
     size of its class; a car's end of which only a window or the roof is seen has a bonnet or a boot
@@ -158,7 +158,7 @@ def _hidden_m(ends_m: Floats, across: Bools) -> Floats:
 
     Where the lowest that is seen of an end is a window or the roof, boot or bonnet lie before it,
     hidden by another vehicle or between two beams. A vehicle is taken to look the way that the road
-    leads; of those across the road (C,), where nobody knows, no end has more than a boot.
+    leads; of those across the road (C,), whose front is unknown, no end has more than a boot.
     """
     heights_m, *before_m = HIDDEN_M.T
     each_end = zip(ends_m.T, before_m, strict=True)
@@ -376,7 +376,7 @@ PART = 0.5  # of the smaller box, at a learned detector
 
 
 def suppress(boxes: Floats, scores: Floats, *, iou: float, part: float = PART) -> Ints:
-    """Returns which boxes (N, 7) stay when, of two that overlap more, the better one does.
+    """Non-maximum suppression: marks boxes (N, 7) to keep; of two that overlap more, the better.
 
     A box of which more than a `part` lies in a better one goes, too: a part of a lorry is no
     vehicle of its own.

@@ -1,4 +1,4 @@
-"""Points brought together by the cell of a cubic grid in which they lie."""
+"""Points grouped by the cell of a cubic grid (voxel) in which they lie."""
 
 from __future__ import annotations
 

@@ -90,10 +90,10 @@ def _compare(points: Floats32, a: Ints, b: Ints, square_m2: float) -> bool:
 
 @njit("boolean(float32[:,::1], int64[::1], int64[::1], float64)", cache=True, nogil=True)
 def _by_parts(points: Floats32, a: Ints, b: Ints, square_m2: float) -> bool:
-    """Parts the wider of two sets until bounds, or a few comparisons, tell.
+    """Parts the wider of two sets until bounds, or a few comparisons, decide.
 
-    Sets that nobody meets by chance, all of whose points are neighbours by a hair or not, are taken
-    for near once that took too long.
+    Contrived sets, whose points all lie very close to the limit, are taken for near once that took
+    too long.
     """
     left = LIMIT * (a.size + b.size)
     bounds_a, bounds_b = np.empty(6, np.float32), np.empty(6, np.float32)

@@ -1,4 +1,4 @@
-"""What the stages of perception go by. Defaults are those of Chen et al. 2022, ours are marked."""
+"""Configuration of detection. Defaults are those of Chen et al. 2022, ours are marked."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DetectorName = Annotated[str, AfterValidator(DETECTORS.checked)]
 
 
 class GeofenceConfig(Section):
-    """What belongs to the road; points and detections elsewhere are left out."""
+    """Geofence: points and detections off the road are left out."""
 
     margin_m: float = Field(
         0.5, ge=0, le=5, description="ours: how far beyond a lane's edge the road reaches"
@@ -109,7 +109,7 @@ class PillarsDetection(Section):
 
 
 class DetectionConfig(Section):
-    """From points to vehicles, wherever that is done."""
+    """Detection, from points to vehicles, on the edge or on agents."""
 
     detector: DetectorName = Field(
         "fast",

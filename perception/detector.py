@@ -1,4 +1,4 @@
-"""Interface of all detectors: the cloud that they get, the vehicles that they return.
+"""Interface of all detectors: input cloud, output vehicles.
 
 `PluginDetector` holds a detector of another package to this interface.
 """
@@ -38,7 +38,7 @@ class Vehicles:
 
     @classmethod
     def from_lidar(cls, boxes: Floats, scores: Floats, classes: Bytes | None = None) -> Vehicles:
-        """Returns vehicles that points gave away; without classes, those that fit their sizes."""
+        """Returns vehicles detected by LiDAR; without classes given, by their sizes."""
         classes = classes_by_size(boxes[:, 3:6]) if classes is None else classes
         return cls(boxes, scores, [LIDAR] * len(boxes), np.zeros(len(boxes)), classes)
 
@@ -94,7 +94,7 @@ class Stage(Protocol):
     """Times a stage by its name."""
 
     def __call__(self, name: str) -> AbstractContextManager[None]:
-        """Returns what to enter for the stage's time."""
+        """Returns a context manager that times the stage."""
 
 
 def untimed(name: str) -> AbstractContextManager[None]:  # noqa: ARG001 - as `Stage` has it
@@ -114,7 +114,7 @@ DetectorMaker = Callable[[DetectionConfig, Roadway], Detector]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PluginDetector:
-    """Holds a plug-in to what every detector promises, frame by frame."""
+    """Wraps a plug-in detector and checks its output in each frame."""
 
     plugin: Plugin
     detector: Detector
@@ -138,7 +138,7 @@ class PluginDetector:
 
 
 def checked_vehicles(plugin: Plugin, found: object) -> Vehicles:
-    """Returns what a plug-in found if it is whole.
+    """Checks the vehicles that a plug-in returned.
 
     Raises:
         ConfigError: these are no vehicles.

@@ -31,7 +31,7 @@ CLOSEST = 0.6  # of `split_eps_m`: a lorry beside parked cars keeps half a metre
 
 
 def split(points: Floats32, labels: Ints32, *, config: ClusterConfig) -> Ints32:
-    """Clusters anew, with `split_eps_m`, what is larger than a car, and closer what no vehicle is.
+    """Splits clusters: larger than a car with `split_eps_m`, larger than any vehicle more finely.
 
     Takes and returns the clusters of points (N, 3) as labels (N,), numbered by their first points;
     -1 is noise.

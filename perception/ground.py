@@ -1,4 +1,4 @@
-"""Ground removal: the planes that RANSAC finds, one after the other (Chen et al. 2022).
+"""Ground removal by RANSAC plane fitting, tile by tile (after Chen et al. 2022).
 
 The paper fits planes to the whole cloud. A road climbs metres over an approach and bends a little
 everywhere, so that its far ends lie off any one plane. Here planes are fitted tile by tile, to
@@ -38,7 +38,7 @@ Part = tuple[Floats32, Floats32, Floats32]  # points (N, 3), heights (N,) of roa
 def remove_ground(
     parts: Sequence[Placed], *, config: GroundConfig, rng: np.random.Generator
 ) -> tuple[Floats32, Floats32, Ints]:
-    """Takes points on the ground away, of all parts of a cloud together.
+    """Removes points on the ground, of all parts of a cloud together.
 
     Returns:
         The points above the ground (M, 3), map frame, in the order of the parts; the height of
@@ -68,7 +68,7 @@ def remove_ground(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Left:
-    """What is left of a part: points (N, 3), heights (N,) of road and ground.
+    """The remaining points of a part: points (N, 3), heights (N,) of road and ground.
 
     The ground's is NaN where no plane was found, and empty before any was looked for. `lowest`
     (V, 3) is as of `Placed`, once known.
@@ -102,7 +102,7 @@ def _around(votes: Sequence[Floats32]) -> Floats:
 
 def _by_area(parts: Sequence[_Left], area: Floats) -> Floats32:
     """Returns one vote (V, 3) for each square metre: x, y and height over the road."""
-    known = all(part.lowest is not None for part in parts)  # then there is nothing to share out
+    known = all(part.lowest is not None for part in parts)  # then there is nothing to compute
     ask = partial(_Left.votes, area=area)
     votes = np.concatenate([*map(ask, parts)] if known else each(ask, parts))
     return lowest(votes, np.zeros(len(votes), np.float32), area)
@@ -124,7 +124,7 @@ def _without(part: _Left, tiles: Floats, layers: Floats32, *, over_road: bool) -
 
 
 def _layers(planes: Floats, distance_m: float, *, bottomless: bool) -> Floats32:
-    """Returns what is taken for ground, by tile, from planes (T, 3).
+    """Returns the ground's layer by tile, from planes (T, 3).
 
     Each is (T, 5): the plane, and the heights over it, straight up, between which points go; none
     where there is no plane.
@@ -321,7 +321,7 @@ def _over_tiles(
 
 @njit("int32[::1](boolean[::1])", cache=True, nogil=True)
 def _chosen(stays: Bools) -> Ints32:
-    """Returns the indices of those marked, without a branch: it would be foreseen wrongly."""
+    """Returns the marked indices, without a branch, which would often be mispredicted."""
     chosen, count = np.empty(stays.size + 1, np.int32), np.uint64(0)
     for index in range(stays.size):
         chosen[count] = index

@@ -1,4 +1,4 @@
-"""Finds how far the ground lies off the map's height, where scans show it.
+"""Map height correction: estimates the map's height error from the ground in scans.
 
 Maps are off by decimetres, and by a metre where they were drawn from another survey than the
 agents' poses: the ground is then taken for vehicles, or vehicles for ground. Each square metre's
@@ -24,7 +24,7 @@ from perception.votes import span
 TILE_M = 20.0
 MOST_M = 1.75  # that a map may be off; the geofence keeps points to 2 m below it
 BIN_M = 0.1
-LEAST_VOTES = 12  # of a tile, one for each square metre; with fewer its neighbours tell
+LEAST_VOTES = 12  # of a tile, one for each square metre; with fewer its neighbours decide
 LEAST_SHARE = 0.2  # of the votes, within two bins: walls and car roofs are fewer
 TRUSTED_M = 0.15  # the ground's own undulation, and the noise of poses
 _BINS = round(2 * MOST_M / BIN_M)

@@ -55,7 +55,7 @@ London's Traffic Modelling Guidelines; a lorry's there are 1.5 to 2.3, a bicycle
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """What was measured of objects: lengths along and across the road, over the ground (C,), m."""
+    """Measured sizes of objects: along and across the road, and over the ground (C,), m."""
 
     along_m: Floats
     across_m: Floats

@@ -1,4 +1,4 @@
-"""Parts of a cloud side by side: compiled loops hold no lock, so threads use all cores."""
+"""Threads for the parts of a cloud: compiled loops release the GIL, so they use all cores."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Done = TypeVar("Done")
 
 
 def each(work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
-    """Returns what `work` gives for each item, in their order."""
+    """Maps `work` over the items in threads; results are in the items' order."""
     done: dict[int, Done] = {}
-    todo = iter(range(len(items)))  # who takes an index from it is the only one
+    todo = iter(range(len(items)))  # each index is taken by one thread only
 
     def take() -> None:
         for index in todo:
@@ -34,7 +34,7 @@ def each(work: Callable[[Item], Done], items: Sequence[Item]) -> list[Done]:
 
 
 def threads() -> int:
-    """Returns how many there are: one for each core that this process may use."""
+    """Returns the number of threads: one for each core that this process may use."""
     return min(len(os.sched_getaffinity(0)), MAX_THREADS)
 
 

@@ -1,4 +1,4 @@
-"""The paper's detector to the letter (Chen et al. 2022), by Open3D: planes off, DBSCAN, bare boxes.
+"""The paper's detector to the letter (Chen et al. 2022), by Open3D: RANSAC, DBSCAN, bare boxes.
 
 Planes go through the whole cloud, boxes hold a cluster's points and no more. Of the configuration
 only the paper's own parameters are read. Open3D comes with the extra `reference`.
@@ -80,7 +80,7 @@ class ReferenceDetector:
             return self._boxes(above, self._clusters(above))
 
     def _without_planes(self, points: Floats32, config: GroundConfig) -> Floats32:
-        """Takes the planes with most points away, one after the other."""
+        """Removes the planes with most points, one after the other."""
         left = self._cloud(points)
         for _ in range(config.runs):
             if len(left.points) < 3:

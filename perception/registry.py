@@ -45,7 +45,7 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
 
 
 def check(config: DetectionConfig) -> None:
-    """Finds before a start what would keep a learned detector or a plug-in from being built.
+    """Checks before the start that a learned detector or a plug-in can be built.
 
     Raises:
         ConfigError: PyTorch is not installed, the weights cannot be used, or the plug-in cannot be

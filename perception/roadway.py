@@ -1,4 +1,4 @@
-"""Raster of the road: where a point lies on the road is one look-up instead of a search."""
+"""Raster of the road: height and direction of the road at a point by one look-up."""
 
 from __future__ import annotations
 
@@ -314,7 +314,7 @@ def _place(
 ) -> tuple[int, Floats32]:
     """Copies the points over road cells whose height lies in the band; counts them, and votes.
 
-    Choices of two values take no branch, which would be foreseen wrongly too often.
+    Choices of two values take no branch, which would be mispredicted too often.
     """
     assert points.shape[1] == kept.shape[1] == 3
     low_m, high_m = grid[3], grid[4]

@@ -1,4 +1,4 @@
-"""Boxes that are no vehicle by what the points in them, over them and behind them show.
+"""False positive filter: boxes are no vehicle if points lie behind, over or beyond them.
 
 A detector that has only seen simulated streets takes rows of trees, walls and roofs on posts for
 lorries. But a vehicle is opaque and ends at its roof, its bumper and its rear. Here points are
@@ -27,7 +27,7 @@ WINDOWS = 0.7  # of the height, from where on a vehicle may be looked through
 EYE_M = 1.5  # of a sensor over the road, at least: poses may be those of a wheel's axle
 BINS = 720  # of directions around a sensor
 LEAST = 5  # fewer points show nothing
-# Of a box's own points, what speaks against it: seen through, in the air over it, higher. Lorries
+# Points against a box as a share of its own: seen through, in the air over it, higher. Lorries
 # are long and closed, and walls taken for them hardly reach over the band of heights that is kept.
 MOST = {ObjectClass.CAR: (0.5, 0.3, 0.3), ObjectClass.TRUCK: (0.3, 0.05, 0.1)}
 MOST_BEYOND_M = {ObjectClass.CAR: (2.5, np.inf), ObjectClass.TRUCK: (np.inf, 1.0)}

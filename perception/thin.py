@@ -1,4 +1,4 @@
-"""Fewer beams where they crowd: near surfaces are hit far more closely than vehicles need.
+"""Thinning of beams: near surfaces are hit far more densely than detection needs.
 
 At a range r, neighbouring columns of a spinning LiDAR are r times its azimuth step apart. Every
 2nd, 4th, ... is kept, the most that leaves them no farther apart than a given spacing; what is kept

@@ -1,4 +1,4 @@
-"""Votes for the height of the ground: each square metre's lowest point.
+"""Lowest point of each square metre: votes for the height of the ground.
 
 Near a sensor a car's side holds more points than the road around it, so areas vote, not points.
 There are few votes, and those of one chunk are taken before the other chunks arrive.

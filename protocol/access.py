@@ -1,7 +1,7 @@
-"""Certificates of processes, and what each may publish and subscribe to, from the topic table.
+"""TLS certificates and access control: which process may publish and subscribe to which topic.
 
-A process is known by the common name of its certificate, its id. The rules become Zenoh's access
-control; what no row of the topic table allows is refused.
+A process is identified by the common name of its certificate, which is its id. The rules, made from
+the topic table, become Zenoh's access control; what no row allows is refused.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from protocol.topics import (
 )
 
 AUTHORITY = "ca.pem"
-"""The certificate by which every process knows the others."""
+"""File name of the CA certificate, against which every process verifies the others."""
 
 
 @dataclass(frozen=True, slots=True)
 class Keys:
-    """A process's certificate and private key, and the authority that all certificates are from.
+    """A process's certificate and private key, and the CA certificate.
 
     The common name of a certificate is the process's id.
     """
@@ -46,12 +46,12 @@ class Keys:
 
     @classmethod
     def of(cls, folder: Path, process_id: str) -> Keys:
-        """Returns what `cpnet keys` calls the files of this process."""
+        """Returns the paths of this process's key files, as `cpnet keys` names them."""
         key = folder / f"{process_id}.key"
         return cls(folder / AUTHORITY, folder / f"{process_id}.pem", key)
 
     def settings(self) -> dict[str, object]:
-        """Returns Zenoh's settings of links over TLS: both sides show a certificate."""
+        """Returns Zenoh's settings for links over mutual TLS: both sides present a certificate."""
         return {
             "root_ca_certificate": str(self.authority),
             "enable_mtls": True,
@@ -92,9 +92,9 @@ class Members:
 
 
 def members_of(scenario: dict[str, Any]) -> Members:
-    """Returns all who may take part in a run of this scenario, on whatever machine.
+    """Returns all processes that may take part in a run of this scenario, on whatever machine.
 
-    Vehicle processes may join that the scenario does not start with.
+    They include vehicle processes that the scenario does not start with and that may join later.
     """
     return Members(roles_of(MAX_VEHICLE_PROCESSES, scenario["regions"]), scenario["regions"])
 

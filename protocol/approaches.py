@@ -1,4 +1,4 @@
-"""Approaches: lanes that lead to an intersection and away from it, and the way to its stop bars.
+"""Approaches: lanes to and from an intersection, and their distance to its stop bars.
 
 The lanes of other intersections bound them: an approach ends where another intersection begins.
 """
@@ -78,7 +78,7 @@ class Approaches:
 
 @dataclass(frozen=True, slots=True)
 class InnerPath:
-    """A way through a junction: `inner` lanes with the way to each one's start, and to the exit."""
+    """A path through a junction: `inner` lanes, distance to each one's start and to the exit."""
 
     inner: tuple[tuple[str, float], ...]
     exit: str
@@ -86,7 +86,7 @@ class InnerPath:
 
 
 def through_junction(road_map: RoadMap, intersection: Intersection) -> list[InnerPath]:
-    """Returns the ways over the junction's own lanes, link by link."""
+    """Returns the paths over the junction's own lanes, link by link."""
     found: list[InnerPath] = []
     for link in intersection.signal.links:
         todo: list[tuple[str, float, tuple[tuple[str, float], ...]]] = [
@@ -117,9 +117,9 @@ def shortest(
     *,
     barred: Collection[str],
 ) -> dict[str, tuple[float, str]]:
-    """Returns for each lane in reach the shortest way to it and the start it came from.
+    """Returns the shortest path to each reachable lane, and the start it came from (Dijkstra).
 
-    Of equal ways the start that is listed first wins (Dijkstra with the list's order as tie).
+    Of equally long paths, the one from the start that is listed first wins.
     """
     rank = {owner: index for index, (_, _, owner) in enumerate(starts)}
     heap = [(way_m, rank[owner], name) for way_m, name, owner in starts]

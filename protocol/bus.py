@@ -1,8 +1,8 @@
-"""The two buses over Zenoh. The only module that imports it.
+"""The two publish-subscribe buses over Zenoh. The only module that imports Zenoh.
 
 One process of the system hosts a bus's router and listens; all others connect to it as clients.
-Shared memory is off: bytes that never cross the socket could not be counted, and what lies in the
-memory of a process that has ended, or that was not scheduled for a while, is lost.
+Shared memory is off: bytes that never cross the socket could not be counted, and messages in the
+memory of a process that has ended, or that was not scheduled for a while, are lost.
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ _OBSERVER_IDS = tuple(f"c9{number:03x}f" for number in range(1024))
 """Session ids of observers that yield: so many that two hardly ever choose the same one.
 
 A router forwards to one receiver after the other: an observer that is stopped, or behind a slow
-network, would block all others for 5 s. To these ids every router drops what a link cannot take.
+network, would block all others for 5 s. Every router drops messages to these ids when their link is
+full.
 """
 
 
@@ -74,7 +75,7 @@ def observer_id() -> str:
 
 
 def drop_for_observers() -> list[dict[str, Any]]:
-    """Returns a router's setting `qos/network`: it drops what observers are too slow for."""
+    """Returns a router's setting `qos/network`, which drops messages to slow observers."""
     return [
         {
             "id": "observers",
@@ -88,7 +89,7 @@ def drop_for_observers() -> list[dict[str, Any]]:
 
 
 class Bus(Protocol):
-    """What a role needs of a bus; what arrives goes to the inbox it was made with."""
+    """Interface of a bus, as roles use it; received messages go to the inbox it was made with."""
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """Sends a message; the parts fill the topic's key. Returns its size in bytes."""
@@ -100,33 +101,33 @@ class Bus(Protocol):
         """Ends a subscription that was made with the same parts."""
 
     def announce(self, role: str, process_id: str) -> None:
-        """Declares this process present, until the bus is closed."""
+        """Declares this process present by a liveliness token, until the bus is closed."""
 
     def watch(self) -> None:
-        """Subscribes to the presence of all processes, those already present included."""
+        """Subscribes to the liveliness tokens of all processes, those already present included."""
 
     def router(self) -> str:
-        """Returns which router this bus is connected to now, by a name; empty if to none."""
+        """Returns the name of the router that this bus is connected to now; empty if to none."""
 
     def wire_bytes(self) -> int:
         """Returns the bytes that TCP has sent for this bus, 0 if it is not one connection."""
 
     def traffic(self) -> Traffic:
-        """Returns what its connection has carried both ways, as IP packets."""
+        """Returns the traffic of its connection in both directions, as IP packets."""
 
     def unsent_bytes(self) -> int:
         """Returns the bytes that TCP holds back because the link is full."""
 
     def close(self) -> None:
-        """Ends the bus; its tokens vanish."""
+        """Closes the bus; its liveliness tokens vanish."""
 
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """How to reach a bus: `listen` hosts its router at the locator, otherwise connect to it.
+    """Address of a bus: `listen` hosts its router at the locator, otherwise connect to it.
 
-    With keys the locator is one of TLS, and what is not allowed to a certificate is refused.
-    A client that `yields` loses messages when it is too slow, instead of blocking publishers.
+    With keys the locator is a TLS one, and what a certificate is not permitted to do is refused. A
+    client that `yields` loses messages when it is too slow, instead of blocking publishers.
     """
 
     locator: str
@@ -217,7 +218,7 @@ class ZenohBus:
         self._answer(topic_name, lambda: encode(make()))
 
     def ask(self, topic_name: str, message: type[M], timeout_s: float) -> M | None:
-        """Returns what the router's host answers, None if nobody does in time.
+        """Queries the router's host and returns its answer, None if none comes in time.
 
         Raises:
             ProtocolError: the answer is not such a message.
@@ -235,7 +236,7 @@ class ZenohBus:
         return sorted(names)
 
     def _into_inbox(self, read: _Read) -> _Take:
-        """Returns what puts all that a subscription receives into the inbox."""
+        """Returns the callback that puts all messages of a subscription into the inbox."""
 
         def take(sample: zenoh.Sample) -> None:
             if (item := read(sample)) is not None:
@@ -300,9 +301,9 @@ def open_bus(
 
 
 def with_send_buffer(endpoint: Endpoint) -> Endpoint:
-    """Returns the endpoint with a socket that takes a whole scan while the link is full.
+    """Returns the endpoint with a socket send buffer that takes a whole scan if the link is full.
 
-    Then publishing blocks nobody, and the kernel tells how much waits.
+    Then publishing does not block, and the kernel reports how many bytes wait.
     """
     return replace(endpoint, locator=f"{endpoint.locator}#so_sndbuf={SEND_BUFFER_BYTES}")
 
@@ -333,7 +334,7 @@ def _open_session(
 
 
 def settings_of(keys: Keys | None) -> dict[str, object]:
-    """Returns Zenoh's settings by their paths, as far as all sessions and routers share them."""
+    """Returns the Zenoh settings, by their paths, that all sessions and routers share."""
     shared: dict[str, object] = {
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,

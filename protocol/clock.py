@@ -1,8 +1,8 @@
-"""Clocks of several machines: how far apart they are, from round trips on the bus.
+"""Clock offsets between machines, estimated from round trips on the bus.
 
-A question goes to the process that hosts the bus's router; half the round trip, less what the
+A query goes to the process that hosts the bus's router; half the round trip, less the time that the
 answer took there, is the most by which the estimate can be wrong. The round trip with the smallest
-such error counts (minimum-delay filter); its error grows as it ages, for clocks drift.
+such error counts (minimum-delay filter); its error grows as it ages, because clocks drift.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ M = TypeVar("M", bound=Message)
 
 
 class ClockBus(Protocol):
-    """What is needed of a bus."""
+    """The methods of a bus that the clock needs."""
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
         """See `protocol.bus.Bus`."""
@@ -51,27 +51,27 @@ class Exchange:
 
     @property
     def offset_ns(self) -> int:
-        """What to add to this clock to have that one, if both ways took equally long."""
+        """Offset from this clock to the other one, if both directions took equally long."""
         return (self.received_ns - self.asked_ns + self.replied_ns - self.answered_ns) // 2
 
     @property
     def error_ns(self) -> int:
-        """The most by which the offset can be wrong, however unequal the ways were."""
+        """The most by which the offset can be wrong, however unequal the two delays were."""
         return (self.answered_ns - self.asked_ns - (self.replied_ns - self.received_ns) + 1) // 2
 
     def error_at_ns(self, now_ns: int) -> int:
-        """The same later on."""
+        """The largest error of the offset at a later time, with the clocks' drift."""
         return self.error_ns + round(DRIFT * max(0, now_ns - self.answered_ns))
 
 
 class OffsetFilter:
-    """Keeps the last exchanges and tells the best."""
+    """Minimum-delay filter: keeps the last exchanges and returns the one with the least error."""
 
     def __init__(self) -> None:
         self._kept: deque[Exchange] = deque(maxlen=KEPT)
 
     def add(self, exchange: Exchange) -> None:
-        """Takes an exchange; one that contradicts itself, or is of no clock, is left."""
+        """Adds an exchange; one that contradicts itself, or cannot be a clock's, is ignored."""
         in_order = exchange.error_ns >= 0 and exchange.replied_ns >= exchange.received_ns
         if in_order and abs(exchange.offset_ns) <= MAX_OFFSET_NS:
             self._kept.append(exchange)
@@ -85,7 +85,7 @@ class OffsetFilter:
 
 
 class ClockWatch:
-    """Asks from time to time, in a thread of its own, and publishes what it finds."""
+    """Measures the clock offset from time to time, in a thread of its own, and publishes it."""
 
     def __init__(self, process: str, bus: ClockBus, machine: str | None = None) -> None:
         self._process = process
@@ -96,7 +96,7 @@ class ClockWatch:
         self._thread = threading.Thread(target=self._run, name="clock", daemon=True)
 
     def start(self) -> None:
-        """Begins to ask."""
+        """Starts the thread that measures the offset."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -105,7 +105,7 @@ class ClockWatch:
         self._thread.join(2 * REPLY_TIMEOUT_S)
 
     def _run(self) -> None:
-        """Publishes again and again: a recorder may come later, or start anew."""
+        """Publishes repeatedly: a recorder may start later, or restart."""
         is_same = False
         while not self._stop.is_set():
             if is_same:
@@ -115,7 +115,7 @@ class ClockWatch:
             self._stop.wait(PERIOD_S)
 
     def ask_once(self) -> bool:
-        """Asks a few times and publishes the offset; returns whether both read the same clock."""
+        """Measures and publishes the offset; returns whether both processes read the same clock."""
         for _ in range(BURST):
             asked_ns = time.monotonic_ns()
             reply = self._ask()
@@ -145,7 +145,7 @@ class ClockWatch:
 
 
 def time_reply(machine: str | None = None) -> Callable[[], TimeReply]:
-    """Returns what the router's host answers with."""
+    """Returns the reply of the router's host to a query for its clock."""
     name = machine or this_machine()
 
     def reply() -> TimeReply:
@@ -161,5 +161,5 @@ def this_machine() -> str:
     namespace = Path("/proc/self/ns/time")
     try:
         return f"{boot.read_text().strip()} {namespace.readlink()}"
-    except OSError:  # not Linux, or older than 5.6: the clock is asked, which is right as well
+    except OSError:  # not Linux, or older than 5.6: the offset is measured, which is right as well
         return f"process {time.monotonic_ns()}"

@@ -1,8 +1,8 @@
 """The one exception tree of cpnet.
 
 CpnetError
-├── ConfigError         the user asked for something that cannot be; says what is allowed
-├── ProtocolError       bytes that came over a bus are not what they claim
+├── ConfigError         the user asked for something impossible; names what is allowed
+├── ProtocolError       bytes received from a bus are not a valid message
 │   ├── VersionError    another protocol version; names both
 │   ├── MessageError    malformed, truncated, oversized or non-finite
 │   └── CodecError      a scan payload that does not decode

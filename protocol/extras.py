@@ -1,4 +1,4 @@
-"""What to install where an optional package is missing, from wherever cpnet itself came."""
+"""Installation commands for optional extras whose packages are missing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DISTRIBUTION = "cpnet-edge"
 def to_install(extra: str) -> str:
     """Returns the command that installs the packages of an extra that are missing here.
 
-    It names them themselves: cpnet may have been installed from a clone, a wheel or an index.
+    It lists the packages instead of the extra: cpnet may come from a clone, a wheel or an index.
     """
     wanted = [text.partition(";") for text in requires(DISTRIBUTION) or ()]
     found = [need.strip() for need, _, marker in wanted if _names(marker, extra)]

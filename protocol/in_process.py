@@ -1,6 +1,6 @@
 """Both buses within one process, without a network: for in-process runs and for tests.
 
-Messages are encoded, checked and decoded as on their way through Zenoh.
+Messages are encoded, checked and decoded as over Zenoh.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class _Subscription:
 
 @dataclass(slots=True, eq=False)
 class InProcessRouter:
-    """One bus's router: who subscribes to what, which processes are present, who watches them."""
+    """One bus's router: subscriptions, present processes and watchers of their presence."""
 
     name: BusName = BusName.V2X
     subscriptions: dict[str, list[_Subscription]] = field(default_factory=dict)
@@ -53,13 +53,13 @@ class InProcessRouter:
         return topic
 
     def notify(self, presence: Presence) -> None:
-        """Passes on to those who watch that a process appeared or left."""
+        """Notifies watchers that a process appeared or left."""
         for inbox in self.watching:
             inbox.put(presence)
 
 
 class InProcessBus:
-    """See `protocol.bus.Bus`. Nothing is ever lost or late; what TCP would carry is computed."""
+    """See `protocol.bus.Bus`. Nothing is lost or late; bytes of TCP are computed."""
 
     def __init__(self, router: InProcessRouter, inbox: Inbox) -> None:
         router.buses.append(self)
@@ -77,7 +77,7 @@ class InProcessBus:
         return len(data)
 
     def deliver(self, topic_name: str, data: bytes, **parts: str) -> None:
-        """Hands bytes, whatever they are, to all who subscribe to the topic and these parts."""
+        """Delivers bytes, valid or not, to all subscribers of the topic and these parts."""
         topic = self._router.topic(topic_name)
         raw = RawMessage(topic, topic.key(**parts), data, time.monotonic_ns())
         self._traffic = self._traffic.sent(framed_bytes(raw.key, len(data)))

@@ -1,4 +1,4 @@
-"""The inbox: a bounded queue of what arrives from all buses, with a quota for each sender.
+"""The inbox: a bounded queue of messages received from all buses, with a quota for each sender.
 
 A sender is the process in a message's key. Each process that is present has a quota of its own; all
 others share one, so that inventing senders gains nothing; messages without a process in their key
@@ -45,9 +45,9 @@ class _Sender:
 
 
 class SenderQuotas:
-    """Counts waiting messages by sender, and limits rates.
+    """Counts queued messages by sender, and limits message rates (token bucket).
 
-    With `is_paced`, where the wall clock sets the pace, each sender's; else that of strangers.
+    With `is_paced`, in realtime, each sender's rate; else only that of unknown senders.
     """
 
     def __init__(self, capacity: int, max_bytes: int, *, is_paced: bool) -> None:
@@ -60,7 +60,7 @@ class SenderQuotas:
         self._per_s = self._rate_per_s()
 
     def show(self, process: str, *, alive: bool) -> None:
-        """Registers a process that appeared or left."""
+        """Registers that a process appeared or left."""
         if not alive:
             self._known.discard(process)
             self._forget(process)
@@ -76,13 +76,13 @@ class SenderQuotas:
         return process if process in self._known else STRANGERS
 
     def keeps_pace(self, sender: str, now_ns: int) -> bool:
-        """Whether a sender's rate allows one more message; each attempt counts for it."""
+        """Whether a sender's rate limit admits one more message; each attempt uses up rate."""
         if sender.startswith(UNSIGNED) or not (self._is_paced or sender == STRANGERS):
             return True
         return self._take_token(self._senders.setdefault(sender, _Sender()), now_ns)
 
     def has_room(self, sender: str, growth: tuple[int, int]) -> bool:
-        """Whether so many messages and bytes more of a sender may wait."""
+        """Whether so many more messages and bytes of a sender may be queued."""
         known = self._senders.setdefault(sender, _Sender())
         places = self._capacity - self._all.messages
         free_bytes = self._max_bytes - self._all.size_bytes
@@ -91,21 +91,21 @@ class SenderQuotas:
         return has_place and fits
 
     def add(self, sender: str, growth: tuple[int, int]) -> None:
-        """Counts messages and bytes, or takes them away."""
+        """Adds messages and bytes to a sender's count, or subtracts them."""
         for one in (self._senders[sender], self._all):
             one.messages += growth[0]
             one.size_bytes += growth[1]
         self._forget(sender)
 
     def _forget(self, sender: str) -> None:
-        """Lets a sender go that has left and of which nothing waits."""
+        """Forgets a sender that has left and of which nothing is queued."""
         if sender in self._known or sender == STRANGERS:
             return
         if sender in self._senders and not self._senders[sender].messages:
             del self._senders[sender]
 
     def flooding(self, now_ns: int) -> set[str]:
-        """Returns the senders that have sent more than their rate allows, and not yet made up."""
+        """Returns the senders that are over their rate limit."""
         return {name for name, known in self._senders.items() if self._tokens(known, now_ns) < 1}
 
     def _rate_per_s(self) -> float:
@@ -127,7 +127,7 @@ class SenderQuotas:
 
 
 class Envelope:
-    """A message with its topic's name, the parts of its key, when it arrived, and as it came."""
+    """A received message with its topic's name, the parts of its key, arrival time and bytes."""
 
     __slots__ = ("_message", "data", "parts", "received_ns", "topic")
 
@@ -139,7 +139,7 @@ class Envelope:
         received_ns: int,
         data: bytes,
     ) -> None:
-        """Takes what is known; a message that is None has not been read yet."""
+        """Stores the fields; a message that is None has not been decoded yet."""
         self.topic = topic
         self.parts = parts
         self.received_ns = received_ns
@@ -200,9 +200,9 @@ class Inbox:
         self.drops: Counter[str] = Counter()
 
     def limit(self, topic_name: str, waiting: int) -> None:
-        """Lets so many messages of each key of a topic wait; a newer one drives out the oldest.
+        """Limits how many messages of each key of a topic queue; a newer one replaces the oldest.
 
-        So a sender that floods a key drops its own messages alone.
+        So a sender that floods a key displaces only its own messages.
         """
         self._limits[topic_name] = waiting
 
@@ -211,14 +211,14 @@ class Inbox:
         self._reads = False
 
     def set_quotas(self, *, is_paced: bool) -> None:
-        """Gives each sender a quota of its own, and a limited rate as `SenderQuotas` says.
+        """Gives each sender a quota of its own, and a rate limit as `SenderQuotas` describes.
 
-        To be called before anything comes in. What is beyond is counted as `rate_limited`.
+        Call it before anything is received. Messages beyond the rate are counted as `rate_limited`.
         """
         self._quotas = SenderQuotas(self._capacity, self._max_bytes, is_paced=is_paced)
 
     def flooding(self, now_ns: int) -> set[str]:
-        """Returns the processes that send faster than they may."""
+        """Returns the processes that exceed their rate limit."""
         with self._lock:
             return self._quotas.flooding(now_ns) if self._quotas else set()
 
@@ -255,18 +255,18 @@ class Inbox:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing waits."""
+        """Whether the queue is empty."""
         return self._queue.empty()
 
     def wake(self) -> None:
-        """Ends the wait of whoever waits for an item, or else the next one; from any thread."""
+        """Ends the current wait for an item, or else the next one; from any thread."""
         with self._lock:
             if not self._woken and not self._queue.full():  # a full inbox lets nobody wait
                 self._woken = True
                 self._queue.put_nowait(None)
 
     def get(self, timeout_s: float = 0.0) -> Envelope | Presence | None:
-        """Returns the next item, or None when the time is over or the next one cannot be read.
+        """Returns the next item, or None after the timeout or if the next one cannot be decoded.
 
         None comes at once if there is no item and `wake` was called since the last wait.
         """
@@ -285,17 +285,17 @@ class Inbox:
         return item if isinstance(item, Presence) else self._open(item)
 
     def refuse(self, topic: str, error: ProtocolError, key: str = "") -> None:
-        """Counts a message that this or a later stage found to be bad; `key` says where it came."""
+        """Counts a message that this or a later stage found invalid; `key` is its key."""
         self.drops[type(error).__name__] += 1
         self._complaints.refused(topic, key or topic, error)
 
     def fail(self, topic: str, error: Exception) -> None:
-        """Counts a message that its role could not take, by a fault of the role."""
+        """Counts a message that its role failed to handle, by a fault of the role."""
         self.drops["role_error"] += 1
         self._complaints.failed(topic, error)
 
     def _signed(self, item: RawMessage | Presence) -> RawMessage | Presence | None:
-        """Returns an item with the sender whose quota it takes; None of one that sends too fast.
+        """Returns an item with the sender whose quota it takes; None if it is over its rate.
 
         Keeps track of presence.
         """
@@ -314,19 +314,19 @@ class Inbox:
         return self._quotas.has_room(item.sender, growth)
 
     def _use_quota(self, item: RawMessage | Presence, times: int) -> None:
-        """Counts an item as one that waits, or with -1 as one that does so no more."""
+        """Counts an item as queued, or with -1 as no longer queued."""
         if self._quotas is not None and isinstance(item, RawMessage):
             self._quotas.add(item.sender, (times, times * len(item.data)))
 
     def _oldest_beside(self, item: RawMessage | Presence) -> RawMessage | None:
-        """Returns what an item drives out: the oldest of its key, if no more may wait."""
+        """Returns the item that a new one replaces: the oldest of its key, at its limit."""
         if not isinstance(item, RawMessage):
             return None
         waiting = self._waiting.get(_place(item), deque())
         return waiting[0] if len(waiting) >= self._limits.get(item.topic.name, 1) else None
 
     def _wait(self, item: RawMessage | Presence) -> _Place | RawMessage | Presence:
-        """Returns what stands in the queue for an item: its place alone where others may come."""
+        """Returns an item's queue entry: only its place if newer items may replace it."""
         if not isinstance(item, RawMessage) or item.topic.name not in self._limits:
             return item
         place = _place(item)

@@ -1,7 +1,7 @@
 """Process instances: which processes a run has, with their ids, roles and regions.
 
-Nothing else makes or reads the id of a process: readiness, supervisor, access control,
-certificates, the edge, recordings and runs in one process ask here.
+No other module makes or parses the id of a process: readiness, supervisor, access control,
+certificates, the edge, recordings and runs in one process use this one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _REGION_PROCESS = re.compile(rf"({'|'.join(REGION_ROLES)})-({REGION_ID})")
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """A process: its id, which stands in keys and names its certificate, its role and region.
+    """A process: its id (part of its keys and its certificate's common name), role and region.
 
     `region` is empty where the process serves no single one.
     """
@@ -68,7 +68,7 @@ def mounts_in(scenario: Mapping[str, Any], region: str) -> list[Any]:
 
 
 def parse_id(process_id: str) -> Instance | None:
-    """Returns the instance that an id can be, None if no process is called so."""
+    """Parses a process id; None if it is not one."""
     if process_id in (ROUTER, WORLD_HOST, "record", "mcap"):
         return Instance(process_id, process_id)
     if _VEHICLE_ID.fullmatch(process_id):
@@ -90,5 +90,5 @@ def region_of(process_id: str) -> str:
 
 
 def role_of(process_id: str) -> str:
-    """Returns the role that an id says."""
+    """Returns the role in a process id."""
     return process_id.partition("-")[0]

@@ -1,7 +1,8 @@
-"""Limits on what others may send: over a bus, in a key, in a scan. Each with its reason.
+"""Limits on received data: messages, keys and scans from a bus.
 
-Whoever can reach a bus can send anything to it. Sizes are checked against these numbers before
-anything is allocated. The other packages with input of their own have such a table as well.
+Each with its reason. Any process that can reach a bus can send anything to it. Sizes are checked
+against these numbers before anything is allocated. The other packages with input of their own have
+such a table as well.
 """
 
 # A message

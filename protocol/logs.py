@@ -14,7 +14,7 @@ _log = logging.getLogger(__name__)
 
 
 class LogStyle(StrEnum):
-    """What a line of a log is."""
+    """Format of a log line: plain text or JSON."""
 
     TEXT = "text"
     JSON = "json"
@@ -23,8 +23,8 @@ class LogStyle(StrEnum):
 def configure(process: str, style: LogStyle) -> None:
     """Sends the process's log to standard error.
 
-    As JSON, what ends the process or a thread unforeseen is a line as well; what libraries write
-    past Python's logging stays as it is.
+    As JSON, uncaught exceptions of the process or a thread are lines as well; what libraries write
+    without Python's logging stays as it is.
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(_json(process) if style is LogStyle.JSON else _text(process))
@@ -89,7 +89,7 @@ class RateLimitedLog:
             _log.error("a message on %s went wrong (%s)", _printable(topic), rest, exc_info=error)
 
     def _rest(self, news: tuple[str, str]) -> str:
-        """Returns what happens to later ones; empty if this one is not logged either."""
+        """Returns a note on later ones; empty if this one is not logged either."""
         if news in self._logged or len(self._logged) >= MAX_LOG_LINES:
             return ""
         self._logged.add(news)
@@ -99,5 +99,5 @@ class RateLimitedLog:
 
 
 def _printable(text: str) -> str:
-    """Returns the beginning of what others wrote, so that it cannot break a line of the log."""
+    """Returns the beginning of received text, escaped so that it cannot break a log line."""
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in text[:MAX_SHOWN_CHARS])

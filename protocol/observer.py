@@ -1,7 +1,7 @@
-"""Observers of a run: they attach to both buses, publish nothing and hold up nobody.
+"""Observers of a run: they attach to both buses, publish nothing and delay no process.
 
-An observer attaches and leaves at any time; no process waits for it, except for a recording on the
-same machine. `FrameBuffer` keeps the messages of the newest frames undecoded.
+An observer attaches and detaches at any time; no process waits for it, except for a recording on
+the same machine. `FrameBuffer` keeps the messages of the newest frames undecoded.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def lower_priority() -> None:
 class Observer:
     """Subscribes to topics of both buses and to presence; a context manager.
 
-    Messages wait in its inbox. One that `yields` loses what it is too slow for; for others the
-    routers wait, see `protocol.bus`.
+    Messages queue in its inbox. One that `yields` loses messages that it is too slow for; for
+    others the routers wait, see `protocol.bus`.
     """
 
     def __init__(
@@ -57,12 +57,12 @@ class Observer:
 
         Args:
             v2x: where that bus is.
-            world: the same of the other one.
+            world: where the world bus is.
             topics: names in the topic table.
-            inbox: one with limits of its own, for who cannot take all that comes.
+            inbox: one with limits of its own, for observers that cannot take all messages.
             timeout_ms: how long the buses may take to answer.
-            yields: what this process is too slow for is dropped before it, however long it stands
-                still; else the routers wait for it, and everybody with them, until they give it up.
+            yields: the routers drop messages that this process is too slow for, however long it is
+                stopped; else they wait for it, and delay all others, until they disconnect it.
 
         Raises:
             BusError: a bus is not there.
@@ -88,16 +88,16 @@ class Observer:
         self._close()
 
     def subscribe(self, topics: Iterable[str]) -> None:
-        """Asks for these topics as well."""
+        """Subscribes to these topics as well."""
         for topic in sorted(topics):
             self._buses[TOPICS[topic].bus].subscribe(topic)
 
     def setup(self, patience_s: float = 10.0) -> Setup:
-        """Returns what every process was given before the first frame.
+        """Returns the run's setup, from the world bus's host.
 
         Raises:
-            BusError: the world's host did not say in time.
-            ProtocolError: what it said is no setup.
+            BusError: the world bus's host did not answer in time.
+            ProtocolError: its answer is not a setup.
         """
         until_ns = time.monotonic_ns() + round(patience_s * 1e9)
         while time.monotonic_ns() < until_ns:
@@ -106,11 +106,11 @@ class Observer:
         raise BusError(f"{self._world.locator} is up, but nobody there tells the setup of a run")
 
     def next(self, timeout_s: float = _POLL_S) -> Envelope | Presence | None:
-        """Returns what came next, None if nothing did in time."""
+        """Returns the next item, None after the timeout."""
         return self.inbox.get(timeout_s)
 
     def listen(self, seconds: float) -> Iterator[Envelope | Presence]:
-        """Yields what comes, for so long."""
+        """Yields received items for a duration."""
         end_ns = time.monotonic_ns() + round(seconds * 1e9)
         while (left_ns := end_ns - time.monotonic_ns()) > 0:
             if (item := self.next(min(_POLL_S, left_ns / 1e9))) is not None:
@@ -129,9 +129,9 @@ class Observer:
 
 
 def _in_thread(work: Callable[[], T]) -> T:
-    """Works in another thread: within a call into Zenoh no signal would be heeded.
+    """Calls Zenoh in another thread: the main thread handles no signal within such a call.
 
-    Short tries would heed them too, but a handshake over a slow link may take longer than one.
+    Short attempts would allow that too, but a handshake over a slow link may take longer than one.
     """
     done: list[T] = []
     failed: list[Exception] = []
@@ -158,7 +158,7 @@ MAX_FRAME_MESSAGES = 1000
 
 @dataclass(slots=True, eq=False)
 class BufferedFrame:
-    """What was heard of a frame so far."""
+    """The messages received of a frame so far."""
 
     number: int
     received: list[Envelope] = field(default_factory=list)
@@ -173,13 +173,13 @@ class BufferedFrame:
             self.received.append(item)
 
     def messages(self) -> Iterator[Message]:
-        """Reads the messages of the frame, as `keyed_messages` without the keys."""
+        """Decodes the messages of the frame, as `keyed_messages` without the keys."""
         return (message for message, _ in self.keyed_messages())
 
     def keyed_messages(self) -> Iterator[tuple[Message, Mapping[str, str]]]:
-        """Reads the messages of the frame, in their order, each with the parts of its key.
+        """Decodes the messages of the frame, in their order, each with the parts of its key.
 
-        What cannot be read is left out.
+        Those that cannot be decoded are left out.
         """
         for item in self.received:
             if (message := _message_of(self.number, item)) is not None:
@@ -187,15 +187,15 @@ class BufferedFrame:
 
 
 class FrameBuffer:
-    """The frames in the making.
+    """Collects messages by frame and hands out complete frames.
 
-    A frame is whole once the next one was brought to an end: by then all that travels slower has
-    come, too. Only the newest whole one waits, so that who is slow leaves frames out, whole ones,
-    and never falls behind. No frame's number is trusted: what counts is the order of arrival.
+    A frame is complete once the next one has ended: by then slower messages have arrived, too. Only
+    the newest complete one is kept, so that a slow observer skips whole frames and never falls
+    behind. Frame numbers are not trusted: the order of arrival counts.
     """
 
     def __init__(self, ending: str) -> None:
-        """Begins; `ending` is a topic of which a message ends each frame, once in each."""
+        """Makes an empty buffer; each frame ends with its one message of the topic `ending`."""
         self._ending = ending
         self._open: dict[int, BufferedFrame] = {}
         self._ended: int | None = None
@@ -214,7 +214,7 @@ class FrameBuffer:
             self._ended = number
 
     def finish(self) -> None:
-        """Calls the frame that ended last whole."""
+        """Declares the frame that ended last complete."""
         ended, self._ended = self._ended, None
         if ended is None:
             return
@@ -225,24 +225,24 @@ class FrameBuffer:
 
     @property
     def is_due(self) -> bool:
-        """Whether a whole frame waits."""
+        """Whether a complete frame is ready."""
         return self._whole is not None
 
     def next(self) -> BufferedFrame | None:
-        """Returns the whole frame that waits, once."""
+        """Returns the complete frame that is ready, once."""
         frame, self._whole = self._whole, None
         return frame
 
     def _frame(self, number: int) -> BufferedFrame:
         if number not in self._open:
             while len(self._open) >= MAX_OPEN_FRAMES:
-                del self._open[next(iter(self._open))]  # the first that came: numbers may lie
+                del self._open[next(iter(self._open))]  # the first that came: numbers may be false
             self._open[number] = BufferedFrame(number)
         return self._open[number]
 
 
 def _message_of(number: int, item: Envelope) -> Message | None:
-    """Returns what was said of a frame, None if it cannot be read or is of another frame."""
+    """Decodes a message of a frame; None if it cannot be decoded or is of another frame."""
     try:
         message = item.message
     except ProtocolError:

@@ -1,6 +1,6 @@
-"""What other installed packages add, found by name through entry points.
+"""Plug-ins: what other installed packages add, found by name through entry points.
 
-A package tells of its own in its metadata, in pyproject.toml for instance
+A package declares its plug-ins in its metadata, in pyproject.toml for instance
 
     [project.entry-points."cpnet.detectors"]
     grid = "my_package.grid:make"
@@ -25,7 +25,7 @@ from pydantic import Field, JsonValue
 from protocol.errors import ConfigError, CpnetError
 
 OWN = "own:"
-"""With this begin the names of what a program provides: a run's record still names it later."""
+"""Prefix of the names of plug-ins that a program provides: a run's record names them later."""
 
 PluginSettings = Annotated[
     dict[str, JsonValue],
@@ -62,7 +62,7 @@ class Plugin:
         return made
 
     def wrong(self, what: str) -> ConfigError:
-        """Returns the error that says what is wrong with it."""
+        """Returns the error with what is wrong with it."""
         return ConfigError(f"{self.label} {what}")
 
 
@@ -75,12 +75,12 @@ class Catalogue:
     builtin: tuple[str, ...]
 
     def has(self, name: str) -> bool:
-        """Whether there is such a one, built in or installed."""
+        """Whether a plug-in of this name is built in or installed."""
         is_known = name in self.builtin or name.startswith(OWN)
         return is_known or bool(self._installed(name))
 
     def checked(self, name: str) -> str:
-        """Returns the name if there is such a one.
+        """Returns the name if there is a plug-in of this name.
 
         Raises:
             ValueError: there is none; the text lists those that are.

@@ -33,17 +33,18 @@ from protocol.topics import BusName
 from protocol.wire import decode
 
 POLL_S = 0.02
-_NEW_OBJECTS = 50_000  # before Python looks for cycles, 700 by default
-WORLD_ID = "sim"  # tells setup and time, and has the clock that all others are held against
-_NOWHERE = Endpoint("", listen=False)  # of a role that is built without a network
+_NEW_OBJECTS = 50_000  # before Python collects cycles, 700 by default
+WORLD_ID = "sim"  # serves setup and time, and has the reference clock
+_NOWHERE = Endpoint("", listen=False)  # for a role that is built without a network
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """What a role is handed. `open_v2x` opens one more V2X session, with its own connection.
+    """The environment of a role: its buses, inbox and setup.
 
-    That connection goes to `uplink`: the edge's router, or a relay before it.
+    `open_v2x` opens one more V2X session, with a connection of its own to `uplink`: the edge's
+    router, or a relay before it.
     """
 
     id: str
@@ -58,7 +59,7 @@ class Context:
     uplink: Endpoint = _NOWHERE
 
     def announce(self, role: str) -> None:
-        """Shows this process on both buses: it is ready."""
+        """Announces on both buses that this process is ready."""
         self.world.announce(role, self.id)
         self.v2x.announce(role, self.id)
 
@@ -67,13 +68,13 @@ class Role(Protocol):
     """A pure class behind a process: it knows messages, not transports."""
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes what arrived."""
+        """Handles a received message or a change of presence."""
 
     def poll(self) -> None:
-        """Is called when all that had come in was taken, and at least every 20 ms."""
+        """Acts; called when all received items were handled, and at least every 20 ms."""
 
     def close(self) -> None:
-        """Writes and releases what it holds."""
+        """Writes pending data and releases resources."""
 
 
 def run(role_name: str, build: Callable[[Context], Role]) -> None:
@@ -106,7 +107,7 @@ def _live(
     world = open_bus(BusName.WORLD, arguments.world, inbox, members=members)
     is_world = arguments.id == WORLD_ID
     if is_world:
-        world.serve("setup", setup)  # before all else: whoever hosts the V2X bus may wait for it
+        world.serve("setup", setup)  # before all else: the V2X bus's host may wait for it
         world.answer("time", time_reply())
     v2x = open_bus(BusName.V2X, arguments.v2x, inbox, members=members)
     clock = None if is_world else ClockWatch(arguments.id, world)
@@ -139,15 +140,15 @@ def _live(
 
 
 def collect_seldom() -> None:
-    """Lets Python look for unreachable cycles less often: messages hold none."""
+    """Makes Python's garbage collector run less often: messages hold no cycles."""
     gc.freeze()
     gc.set_threshold(_NEW_OBJECTS)
 
 
 def loop(role: Role, inbox: Inbox, stop: threading.Event) -> None:
-    """Hands all that came in to the role, then lets it act, until `stop` is set.
+    """Delivers all received items to the role, then lets it act, until `stop` is set.
 
-    A message that a role cannot take is counted: no message may end a process.
+    A message that a role fails on is counted: no message may end a process.
     """
     while not stop.is_set():
         item = inbox.get(POLL_S)
@@ -160,7 +161,7 @@ def loop(role: Role, inbox: Inbox, stop: threading.Event) -> None:
 
 
 def deliver(role: Role, inbox: Inbox, item: Envelope | Presence) -> None:
-    """Lets a role take an item; one that it cannot take is counted."""
+    """Delivers an item to a role; one that it fails on is counted."""
     topic = item.topic if isinstance(item, Envelope) else "alive"
     try:
         role.on(item)

@@ -1,4 +1,4 @@
-"""Regions: the intersections that one edge serves, and the roads that it needs for that.
+"""Regions: the intersections that one edge server serves, and the roads that it needs for that.
 
 A lane belongs to the region of its intersection (`Lane.tls`). A region's `area` also holds lanes of
 others: those on which vehicles count for its signals, behind their stop bars, and those that a
@@ -19,7 +19,7 @@ from protocol.approaches import Approaches
 from protocol.roadmap import MAP_RADIUS_M, Lane, RoadMap, distance_m
 
 AROUND_M = 150.0
-"""A region knows the lanes so far around its area: farther than its agents drive away from it."""
+"""Distance around its area within which a region has all lanes, m: its agents stay within it."""
 _EDGE_M = 10.0  # of the map: a vehicle there may be on a lane whose centreline lies beyond it
 
 
@@ -56,7 +56,7 @@ class RegionMap:
         return cls(region, area, around, whole.centres, bounds)
 
     def knows(self, x_m: float, y_m: float) -> bool:
-        """Whether the surroundings have every lane at a place; elsewhere roads are unknown."""
+        """Whether the surroundings have every lane at a position; elsewhere roads are unknown."""
         low, high = self.bounds
         if not (low[0] <= x_m <= high[0] and low[1] <= y_m <= high[1]):
             return False

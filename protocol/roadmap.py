@@ -1,4 +1,4 @@
-"""The road as every process knows it: lanes, intersections, signals and their fixed plans."""
+"""Road map that all processes share: lanes, intersections, signals and their fixed plans."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 MAP_RADIUS_M = 460.0
-"""A map has all lanes for road vehicles of which a part lies so near a signal.
+"""Distance to a signal within which a map has all lanes for road vehicles, m.
 
 Farther than vehicles exist with the default of `traffic.radius_m`.
 """
@@ -63,7 +63,7 @@ class Lane(_Part):
 
 
 def distance_m(points: npt.NDArray[np.float64], at: npt.NDArray[np.float64]) -> float:
-    """Returns how far a place x, y (2,) is from a polyline (K, 2 or 3), in the plane."""
+    """Returns the distance of a point x, y (2,) from a polyline (K, 2 or 3), in the plane."""
     start, step = points[:-1, :2], np.diff(points[:, :2], axis=0)
     squared = np.maximum((step**2).sum(axis=1), 1e-12)
     along = np.clip(((at - start) * step).sum(axis=1) / squared, 0.0, 1.0)
@@ -86,7 +86,7 @@ class PlanPhase(_Part):
 
     @property
     def is_green(self) -> bool:
-        """Whether somebody may go and nobody is being stopped."""
+        """Whether some link may go and none is being stopped (no yellow)."""
         return any(c in "Gg" for c in self.state) and "y" not in self.state
 
 

@@ -16,7 +16,7 @@ from protocol.limits import MAX_BEAMS, MAX_KEPT_BEAMS, MAX_KEPT_PATTERNS
 
 
 class Profile(StrEnum):
-    """How much time a scan may take to become small. Every profile keeps the same bound.
+    """Compression profile: encoding time against size. Every profile keeps the same bound.
 
     FAST: differences and zstd, the least time. DEFAULT: a model of the scene and an entropy coder,
     a third to a half of those bytes.
@@ -153,7 +153,7 @@ class PointCloud:
 
 
 def check_beams(channels: int, columns: int) -> None:
-    """Refuses a pattern that nobody has.
+    """Checks the number of beams of a pattern against the limit.
 
     Raises:
         CodecError: no beams, or more than the limit.

@@ -1,4 +1,4 @@
-"""The sequence window: which frame numbers can be real, so that an absurd one is refused."""
+"""The sequence window: which received frame numbers are plausible; absurd ones are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class SequenceWindow:
     """Accepts frame numbers up to a few beyond the newest one known to be real.
 
     That is one that was finished, or one that the signal's states reached step by step: a process
-    that was started in mid-run finds in again. Until there is one, the lowest frame received
+    that was started in mid-run synchronises again. Until there is one, the lowest frame received
     counts.
     """
 

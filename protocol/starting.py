@@ -1,4 +1,4 @@
-"""For whoever starts processes: none is left half-started, and none takes cores from the others."""
+"""Helpers to start processes: deferred signals while one starts, one thread for each BLAS."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-"""Processes are the unit that work is spread by: a BLAS that spins on all cores slows the rest."""
+"""Environment of processes: one BLAS thread each, since spinning on all cores slows the rest."""
 DEFERRED = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -1,4 +1,4 @@
-"""What the kernel knows of a TCP connection of this process (TCP_INFO, Linux)."""
+"""Kernel counters of a TCP connection of this process (TCP_INFO, Linux)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def unsent_bytes(locator: str) -> int:
 
 
 def traffic(locator: str) -> Traffic:
-    """Returns what a connection from a local `tcp/HOST:PORT` has carried both ways, so far.
+    """Returns the traffic so far of a connection from a local `tcp/HOST:PORT`, in both directions.
 
     Packets are counted as if the path's MTU were 1500: over loopback they are larger, and fewer.
     """

@@ -1,4 +1,4 @@
-"""Tiles of the map: squares by which the world's bodies are published, so that nobody hears all."""
+"""Tiles of the map: squares by which bodies are published, so that no process receives all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Tile = tuple[int, int]
 """Column and row: x and y of the south-west corner over the edge."""
 
 TILE_M = 200.0
-"""A tile's edge. A LiDAR that reaches 100 m meets four tiles or so."""
+"""Edge length of a tile, m. The range of a LiDAR of 100 m meets about four tiles."""
 
 
 def tiles_of(places: Floats) -> npt.NDArray[np.int32]:
@@ -37,7 +37,7 @@ def tiles_within(places: Floats, reach_m: float) -> set[Tile]:
 
 
 def tile_name(tile: Tile) -> str:
-    """Returns how a tile stands in a key."""
+    """Returns a tile's name in a key."""
     return f"{tile[0]}.{tile[1]}"
 
 

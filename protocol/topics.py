@@ -1,4 +1,4 @@
-"""The topic table: what is published under which key, on which bus, by whom, for whom."""
+"""The topic table: key, message, bus, delivery, publishers and subscribers of each topic."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Topic:
     def key(self, **parts: str) -> str:
         """Returns the Zenoh key expression; a part that is left out becomes `*`.
 
-        What Zenoh gives a meaning to, such as `/`, `#` and spaces, stands percent-encoded.
+        Characters with a meaning to Zenoh, such as `/`, `#` and spaces, are percent-encoded.
 
         Raises:
             ValueError: a part is empty.
@@ -72,7 +72,7 @@ class Topic:
         """Returns the process that signs a key of this topic, None if none signs such keys.
 
         As it stands there, percent-encoded or not, and empty where the key is none of the topic's:
-        it only tells senders apart.
+        it only distinguishes senders.
         """
         place = _process_place(self.template)
         if place is None:
@@ -111,11 +111,11 @@ OBSERVERS = frozenset({"view", "mcap"})
 """Roles that subscribe to everything and publish nothing (a recording: its clock alone)."""
 _WATCH = frozenset({"watch"})  # the supervisor on each machine: progress alone
 _RELAY = frozenset({"relay"})
-_ROUTER = frozenset({"router"})  # hosts the V2X bus, publishes nothing but its clock
+_ROUTER = frozenset({"router"})  # hosts the V2X bus, publishes only its clock offset
 _ALL = _AGENTS | _SIM | _EDGE | _SIGNAL | _RECORD
 _CLOCKS = _ALL | _RELAY | _ROUTER | {"mcap"}
 ROLES = _ALL | OBSERVERS | _WATCH | _RELAY | _ROUTER
-"""Whoever may be on a bus."""
+"""All roles that may be on a bus."""
 
 
 def _table(*rows: Topic) -> dict[str, Topic]:
@@ -171,7 +171,7 @@ PRESENCE_WATCHERS = {
     BusName.WORLD: _SIM | _RECORD | OBSERVERS | _WATCH,
     BusName.V2X: _SIM | _EDGE | OBSERVERS | _WATCH,
 }
-"""Roles that see, on each bus, which processes are present."""
+"""Roles that may watch, on each bus, which processes are present."""
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")  # none of these either
 

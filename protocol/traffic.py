@@ -1,9 +1,9 @@
-"""Bytes on the wire: what messages become as IP packets of 1500 bytes, both ways.
+"""Bytes on the wire: the IP packets of 1500 bytes that messages take, in both directions.
 
-A payload in messages is not what a link carries. On top come, by layer: the message's own header,
-its key and Zenoh's framing; records of TLS; headers of TCP and IP; acknowledgements, one for every
-second packet. Where the transport is real, the kernel counts (`protocol.tcpinfo`); within one
-process the same is computed from these constants (a test compares the two).
+A link carries more than the payload. On top come, by layer: the message's own header, its key and
+Zenoh's framing; records of TLS; headers of TCP and IP; acknowledgements, one for every second
+packet. Where the transport is real, the kernel counts (`protocol.tcpinfo`); within one process the
+same is computed from these constants (a test compares the two).
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class Traffic:
 
 
 def packets_of(size_bytes: int) -> int:
-    """Returns in how many packets a TCP payload travels."""
+    """Returns the number of packets of a TCP payload."""
     return -(-size_bytes // SEGMENT_BYTES)
 
 
 def on_air_bytes(size_bytes: int) -> int:
-    """Returns what a TCP payload takes on the link, with the headers of TCP and IP."""
+    """Returns the bytes of a TCP payload on the link, with the headers of TCP and IP."""
     return size_bytes + HEADER_BYTES * packets_of(size_bytes)
 
 

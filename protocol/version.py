@@ -32,7 +32,7 @@ class PresentProcesses:
         return cls(present, sorted({version for version, _, _ in rows} - {OWN_VERSION}))
 
     def mismatch(self) -> str:
-        """Returns why this side cannot talk to the others, empty if all have its version."""
+        """Returns why this side is incompatible with the others, empty if all have its version."""
         if not self.other_versions:
             return ""
         theirs = ", ".join(map(_number, self.other_versions))

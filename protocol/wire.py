@@ -1,10 +1,11 @@
-"""Messages as bytes: a fixed prefix, a msgpack header, then the arrays, each padded to 8 bytes.
+"""Wire format of messages: a fixed prefix, a msgpack header, then arrays padded to 8 bytes.
 
     prefix  magic "CPNT", u16 version, u16 kind, u32 header length, u32 body length
     header  msgpack map; an array field holds its shape
     body    the arrays' little-endian bytes, in the order in which the message declares them
 
-Every length is checked against its limit and against what is there before anything is allocated.
+Every length is checked against its limit and against the bytes received before anything is
+allocated.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def encode(message: Message) -> bytes:
 def decode(data: bytes, expected: type[M]) -> M:
     """Reads one message of the expected type; its arrays are read-only views of `data`.
 
-    Fields that have a default may be missing: who wrote the message may not have known them.
+    Fields that have a default may be missing: an older sender may not know them.
 
     Raises:
         VersionError: the sender speaks another version.
@@ -89,7 +90,7 @@ def decode(data: bytes, expected: type[M]) -> M:
 
 
 def peek_frame_time(data: bytes, expected: type[Message]) -> FrameTime:
-    """Returns of which moment a message is, and reads no more of it.
+    """Reads only the frame and the simulated time of a message.
 
     Raises:
         VersionError: the sender speaks another version.
@@ -155,7 +156,7 @@ def _read_prefix(data: bytes, expected: type[Message]) -> tuple[int, int]:
 
 
 def _unpacker(packed: bytes) -> msgpack.Unpacker:
-    """Returns one that refuses what takes far more room than its bytes."""
+    """Returns an unpacker that refuses a header that takes far more memory than its bytes."""
     room = MAX_CONTAINERS + len(packed) // 16
 
     def count(container: Any) -> Any:  # noqa: ANN401 - a list or a dict

@@ -8,7 +8,7 @@ from protocol.config import Section
 
 
 class RecordConfig(Section):
-    """Counts, phases, trips, uploads and stages are always kept; these are the large ones."""
+    """What a run records besides counts, phases, trips, uploads and stages: the large tables."""
 
     snapshot_period_s: float = Field(
         10.0,
@@ -30,7 +30,7 @@ class RecordConfig(Section):
 
 
 class ReplayConfig(Section):
-    """What is played in the place of the world and the agents."""
+    """The recording to replay instead of the world and the agents."""
 
     recording: str = Field(description="an MCAP file, or a run folder with one")
     speed: float = Field(

@@ -1,7 +1,7 @@
 """Writes a run's database; rows are buffered and committed in batches.
 
-SQLite keeps committed transactions through SIGKILL (write-ahead log), so a killed run loses what
-came after its last commit and nothing else.
+SQLite keeps committed transactions through SIGKILL (write-ahead log), so a killed run loses only
+what came after its last commit.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ _ROW_FAULTS = (OverflowError, sqlite3.IntegrityError, sqlite3.DataError, sqlite3
 class Database:
     """The open database of a run that is being recorded.
 
-    `last_frame` is the last of which a recorder that died before knew, `last_whole` the last with
-    a request, `last_tick` frame and ns of simulation of the last tick; None if this is the first.
+    After a restart, `last_frame` is the last frame of the earlier recorder, `last_whole` the last
+    with a request, `last_tick` frame and ns of simulation of the last tick; None if this is the
+    first recorder.
     """
 
     def __init__(self, run_dir: Path, scenario: str = "") -> None:
-        """Makes the file and its tables, or goes on with a recording that broke off.
+        """Makes the file and its tables, or resumes a recording that was interrupted.
 
         Args:
             run_dir: the run's folder.
-            scenario: as JSON; only a recording of the same is gone on with.
+            scenario: as JSON; only a recording of the same is resumed.
 
         Raises:
             ConfigError: the folder is missing, cannot be written or has another recording already.
@@ -62,7 +63,7 @@ class Database:
             self._create()
 
     def known_drops(self) -> list[DropRow]:
-        """Returns what had been counted before."""
+        """Returns the drop counts of the earlier recorder."""
         return list(map(DropRow._make, self._connection.execute(TABLES[DropRow].select)))
 
     def add(self, row: type, rows: Iterable[Row]) -> None:
@@ -76,7 +77,7 @@ class Database:
 
     @property
     def is_full(self) -> bool:
-        """Whether what was added should be written at once, for the sake of memory."""
+        """Whether so many rows are buffered that they should be committed, to bound memory."""
         return self.pending_rows > MAX_PENDING_ROWS or self._pending_bytes > MAX_PENDING_BYTES
 
     def commit(self) -> None:
@@ -98,7 +99,7 @@ class Database:
     def close(self) -> None:
         """Commits and leaves one plain file, which opens read-only on any medium.
 
-        While somebody reads, the write-ahead log stays beside it.
+        While another process reads, the write-ahead log stays beside it.
         """
         self.commit()
         with suppress(sqlite3.OperationalError):

@@ -15,20 +15,20 @@ from recording.tables import FrameRow, LatencyRow, RegionFrameRow, UploadRow
 
 
 class TickCheck:
-    """Follows ticks; one that leads elsewhere is believed when the next goes on from there."""
+    """Checks the sequence of ticks; a jump is accepted when the next tick continues it."""
 
     def __init__(self, period_ns: int, last: tuple[int, int] | None = None) -> None:
-        """Begins after the last tick, frame and ns of simulation, that is known from before."""
+        """Starts after the last known tick, frame and ns of simulation."""
         self._period_ns = period_ns
         self._last = last
         self._doubted: tuple[int, int] | None = None
         self.frame = last[0] if last else -1
 
     def take(self, frame: int, sim_time_ns: int) -> None:
-        """Moves on to a tick.
+        """Advances to a tick.
 
         Raises:
-            MessageError: it follows neither the last one nor one that was doubted.
+            MessageError: it follows neither the last one nor a pending jump.
         """
         tick = frame, sim_time_ns
         if not (self._goes_on(self._last, tick) or self._goes_on(self._doubted, tick)):
@@ -51,7 +51,7 @@ _NOBODY: tuple[None, ...] = (None,) * 9
 
 @dataclass(slots=True)
 class RegionRecord:
-    """What is known of one frame of one region so far."""
+    """The data of one frame of one region so far."""
 
     timings: FrameTimings
     agents: set[str] | None = None
@@ -62,13 +62,13 @@ class RegionRecord:
     request_ns: int | None = None
 
     def counted(self, lanes: LaneCounts) -> None:
-        """Adds what the edge made of the frame."""
+        """Adds the counts of the region's edge."""
         self.complete, self.agents = lanes.complete, set(lanes.agents)
         self.timings.complete = lanes.complete
         self.timings.delay_sim_ns = lanes.delay_sim_ns
 
     def requested(self, received_ns: int) -> None:
-        """Adds that a request for one of its signals came."""
+        """Registers that a request for one of its signals came."""
         self.request_ns = received_ns
 
     def end_to_end_ns(
@@ -85,7 +85,7 @@ class RegionRecord:
 
 @dataclass(slots=True)
 class FrameRecord:
-    """What is known of one frame so far, of the world and of each region."""
+    """The data of one frame so far, of the world and of each region."""
 
     frame: int
     sim_time_ns: int | None = None
@@ -107,7 +107,7 @@ class FrameRecord:
         return known
 
     def measured(self, metrics: Metrics, region_of_tls: Mapping[str, str]) -> None:
-        """Adds what one process measured in this frame.
+        """Adds the metrics of one process in this frame.
 
         Raises:
             MessageError: the frame has more messages than there is room for.
@@ -147,12 +147,12 @@ class FrameRecord:
                 timings.uploads[upload.agent, upload.chunk] = upload
 
     def wired(self, count: WireCount) -> None:
-        """Adds what an agent's link carried; of too many agents no more are noted."""
+        """Adds the bytes on an agent's link; agents beyond the limit are ignored."""
         if count.agent in self.wire or len(self.wire) < MAX_WIRED:
             self.wire[count.agent] = count
 
     def rows(self, clocks: Clocks) -> FrameRows:
-        """Returns the frame as rows of all tables that it stands in."""
+        """Returns the frame as rows of all its tables."""
         latencies: list[LatencyRow] = []
         regions: list[RegionFrameRow] = []
         for name, record in sorted(self.regions.items()):
@@ -191,7 +191,7 @@ class FrameRecord:
         )
 
     def _upload_rows(self) -> Iterator[UploadRow]:
-        """Returns a row per chunk that its sender or an edge spoke of.
+        """Returns a row per chunk in the metrics of its sender or of an edge.
 
         TCP's bytes of an agent's frame stand at its first chunk.
         """
@@ -207,7 +207,7 @@ class FrameRecord:
 
 @dataclass(frozen=True, slots=True)
 class FrameRows:
-    """One frame as it stands in the tables."""
+    """The rows of one frame by table."""
 
     frame: FrameRow
     regions: list[RegionFrameRow]
@@ -216,13 +216,13 @@ class FrameRows:
 
 
 def _over(function: Callable[[list[int]], int], values: Iterable[int | None]) -> int | None:
-    """Applies a function to the values that are known; None if none is."""
+    """Applies a function to the values that are not None; None if there are none."""
     known = [value for value in values if value is not None]
     return function(known) if known else None
 
 
 class FrameAggregator:
-    """Notes of the newest frames; a frame is written again whenever more was heard of it."""
+    """Aggregates the newest frames; a frame is written again whenever more of it was received."""
 
     def __init__(
         self,
@@ -230,14 +230,14 @@ class FrameAggregator:
         regions: Mapping[str, Sequence[str]],
         last_tick: tuple[int, int] | None = None,
     ) -> None:
-        """Begins after a recording's last tick, frame and ns of simulation, if it goes on.
+        """Starts after a resumed recording's last tick, frame and ns of simulation.
 
         `regions` are the signals of each region.
         """
         self._region_of_tls = {tls: name for name, signals in regions.items() for tls in signals}
         self._notes: dict[int, FrameRecord] = {}
         self._changed: set[int] = set()
-        self._entries = 0  # of all notes
+        self._entries = 0  # of all records
         self._tick_check = TickCheck(frame_period_ns, last_tick)
         self._settled = -1
 
@@ -250,7 +250,7 @@ class FrameAggregator:
         return self._tick_check.frame
 
     def tick(self, frame: int, sim_time_ns: int) -> FrameRecord:
-        """Returns the note of a frame that the world has begun.
+        """Returns the record of a frame that the world has begun.
 
         Raises:
             MessageError: it does not follow the ticks so far.
@@ -259,7 +259,7 @@ class FrameAggregator:
         return self.note(frame)
 
     def note(self, frame: int) -> FrameRecord:
-        """Returns the note of a frame, to be changed by the caller.
+        """Returns the record of a frame, to be changed by the caller.
 
         Raises:
             MessageError: the frame is settled, or far ahead of the world.
@@ -269,7 +269,7 @@ class FrameAggregator:
         return self._notes.setdefault(frame, FrameRecord(frame))
 
     def measured(self, metrics: Metrics) -> FrameRecord:
-        """Returns the note of a frame with what one process measured in it.
+        """Adds a process's metrics to the record of a frame, and returns it.
 
         Raises:
             MessageError: as `note`, or the frame, or all of them, have no room for more.
@@ -312,15 +312,15 @@ class FrameAggregator:
             raise MessageError(f"frame {frame} was recorded before the recorder broke off")
 
     def settle(self, frame: int) -> None:
-        """Closes a frame and all before it: what was recorded of them stays as it is."""
+        """Closes a frame and all before it: their records no longer change."""
         self._settled = frame
 
     def get(self, frame: int) -> FrameRecord | None:
-        """Returns the note of a frame to look at, if it is open."""
+        """Returns the record of a frame, read-only, if it is open."""
         return self._notes.get(frame)
 
     def take_changed(self) -> list[FrameRecord]:
-        """Returns the notes that changed since the last call, and forgets the settled ones."""
+        """Returns the records that changed since the last call, and forgets the settled ones."""
         changed = [self._notes[frame] for frame in sorted(self._changed)]
         self._changed.clear()
         for frame in [f for f in self._notes if abs(f - self.newest_tick) > MAX_OPEN_FRAMES]:

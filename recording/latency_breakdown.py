@@ -1,15 +1,15 @@
-"""The latency account: where the time of a frame went, for each agent whose scan was used.
+"""Latency breakdown: the time of a frame by stage, for each agent whose scan was used.
 
-Along an agent's way the stages follow one another; `wait` is what its last chunk waited at the
-edge, for others or for its turn, `other` what no process measured. They sum to the end-to-end time:
-from the start of the agent's sensing until the cabinet has acted on the frame. The edge opens
-several scans at once: others' are no part of an agent's way, and where chunks of its own overlap,
-the time counts once.
+On an agent's path the stages follow one another; `wait` is the time that its last chunk waited at
+the edge, for others or for its turn, `other` the time that no process measured. They sum to the
+end-to-end time: from the start of the agent's sensing until the cabinet has acted on the frame. The
+edge opens several scans at once: others' are no part of an agent's path, and where chunks of its
+own overlap, the time counts once.
 
-Over real links, clocks of different machines are aligned first, and `clock_error_ns` says how
-wrong that may be. Over virtual links each agent's computing, as measured, and its time on the link
-are laid together, as if every agent had a computer of its own: a chunk is computed while those
-before it are on the link, so that of `link` only what comes after the computing counts.
+Over real links, clocks of different machines are aligned first, and `clock_error_ns` bounds the
+error of that. Over virtual links each agent's computing time, as measured, and its time on the link
+are combined as if every agent had a computer of its own: a chunk is computed while those before it
+are on the link, so that of `link` only the time after the computing counts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Clocks = Mapping[str, tuple[int, int]]
 
 @dataclass(slots=True)
 class FrameTimings:
-    """What several processes measured of one frame of one region.
+    """Timings of one frame of one region, measured by several processes.
 
     `edge`, `signal` and `actuations` are spans of its edge, its signal process and its cabinets;
     `agents` those of agents by their id, whatever the region; `senders` their processes.
@@ -52,8 +52,8 @@ class FrameTimings:
     def latencies(self, frame: int, clocks: Clocks) -> list[LatencyRow]:
         """Returns a row for each agent whose scan was used; none until the cabinets have acted.
 
-        `clocks` gives by process what to add to its times to have the reference clock's, and how
-        wrong that may be, both in ns.
+        `clocks` gives by process the offset to the reference clock, and its largest error, both in
+        ns.
         """
         acted = self._acted()
         ready = [span.end_ns for span in self.edge if span.stage == "wait"]
@@ -100,7 +100,7 @@ class FrameTimings:
         return list(last.values())
 
     def _ways(self, frame: int, used: Iterable[tuple[Upload, Arrival]]) -> Iterator[_AgentPath]:
-        """Yields what was measured of each agent, and of the stages that serve all."""
+        """Yields the measured timings of each agent, with the stages that serve all."""
         at_edge: dict[str, list[Span]] = defaultdict(list)
         for span in self.edge:
             at_edge[span.agent].append(span)
@@ -141,7 +141,7 @@ class FrameTimings:
         if acted.start_ns + sim[0] < start_ns or took_ns > MAX_END_TO_END_NS:
             return None
         link_ns = arrival.received_ns + edge[0] - upload.sent_ns - sender[0]
-        overlap_ns = min(max(0, -link_ns), row.send_ns)  # it was there before the call returned
+        overlap_ns = min(max(0, -link_ns), row.send_ns)  # it arrived before the call returned
         at_edge_ns = ready_ns - arrival.received_ns
         row = row._replace(
             send_ns=row.send_ns - overlap_ns,
@@ -166,10 +166,10 @@ class FrameTimings:
         return done
 
     def _virtual_link_ns(self, way: _AgentPath) -> int:
-        """Returns what of an agent's time on a virtual link comes after its last chunk was sent.
+        """Returns the part of an agent's time on a virtual link after its last chunk was sent.
 
-        Simulated, all chunks were queued at once, each behind the one before it; here each is
-        queued when it was ready.
+        In simulated time, all chunks were queued at once, each behind the one before it; here each
+        is queued when it was ready.
         """
         agent, there_ns, before_ns = way.upload.agent, 0, 0
         for chunk in range(way.upload.chunk + 1):
@@ -184,7 +184,7 @@ class FrameTimings:
         return there_ns - sum(self._sent(way.upload).values())
 
     def _sent(self, upload: Upload) -> dict[str, int]:
-        """Returns by stage what an agent had computed when it had sent a chunk."""
+        """Returns an agent's computing time by stage until it had sent a chunk."""
         mine = self.agents.get(upload.agent, ())
         return _sums(span for span in mine if span.end_ns <= upload.sent_ns)
 
@@ -227,7 +227,7 @@ def _sums(spans: Iterable[Span]) -> dict[str, int]:
 
 
 def _sums_apart(spans: Iterable[Span]) -> dict[str, int]:
-    """Returns sums by stage; of spans that overlap, what the earlier one leaves of the later."""
+    """Returns sums by stage; overlapping time counts for the earlier span alone."""
     sums: dict[str, int] = defaultdict(int)
     ordered = sorted(spans, key=lambda span: (span.start_ns, span.end_ns))
     until_ns = ordered[0].start_ns if ordered else 0

@@ -1,4 +1,4 @@
-"""Limits on what messages and files of others may hold, each with its reason."""
+"""Limits on received messages and files, each with its reason."""
 
 from protocol.limits import MAX_BODY_BYTES
 
@@ -13,7 +13,7 @@ MAX_END_TO_END_NS = 60_000_000_000  # of a frame: what is later acts on nothing
 MAX_PROGRESS_AGENTS = 1024  # with a rate in a progress message: its header is bounded
 MAX_PROGRESS_JUNCTIONS = 512  # likewise
 MAX_TOTAL_DROPS = (1 << 53) - 1  # what a progress message takes
-MAX_PROCESSES = 512  # whose clocks and drops are kept: without keys anybody may invent ids
+MAX_PROCESSES = 512  # whose clocks and drops are kept: without keys any process may invent ids
 MAX_REASONS = 64  # for which a process drops messages: a process names them itself
 
 # The database
@@ -26,6 +26,6 @@ MAX_RECORD_BYTES = 4 * MAX_BODY_BYTES  # a chunk that does not compress fits
 MAX_CHANNELS = 16_384  # of a file: a quarter of what the format allows
 MAX_CHUNKS = 10_000  # of a file: the index of each stays in memory until the end
 
-# Scans from elsewhere
+# Imported scans
 MAX_POSE_FILE_BYTES = 64 << 20  # is read whole
 MAX_MOUNT_HEIGHT_M = 100.0  # of a sensor over the ground: more is a mistake of units

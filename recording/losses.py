@@ -1,4 +1,4 @@
-"""What a recording lacks: messages that processes dropped, and gaps while a bus was away."""
+"""Losses of a recording: messages that processes dropped, and gaps while a bus was down."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from recording.tables import DropRow, GapRow
 
 @dataclass(slots=True)
 class RestartSafeCounts:
-    """Counts by reason that their process tells since its own start, kept over its restarts.
+    """Counts by reason, published since a process's start, summed over its restarts.
 
-    `told` is what it said last.
+    `told` are the last published counts.
     """
 
     total: Counter[str] = field(default_factory=Counter)
     reported: dict[str, int] = field(default_factory=dict)
 
     def take(self, reported: Mapping[str, int]) -> None:
-        """Adds what is new; counts of which one has fallen are those of a new process."""
+        """Adds the increase; if one count has fallen, all are those of a restarted process."""
         if any(reported.get(reason, 0) < count for reason, count in self.reported.items()):
             self.reported = {}
         for reason, count in reported.items():
@@ -34,7 +34,7 @@ class RestartSafeCounts:
 
 
 class DropCounts:
-    """Adds up over restarts: a count that falls tells of one."""
+    """Drop counts by process, summed over restarts: a count that falls indicates one."""
 
     def __init__(self, known: Iterable[DropRow] = ()) -> None:
         self._counts: dict[str, RestartSafeCounts] = {}
@@ -44,7 +44,7 @@ class DropCounts:
             counts.total[row.reason] = counts.reported[row.reason] = row.times
 
     def received(self, process: str, reasons: Mapping[str, int]) -> None:
-        """Takes what a process has counted since its start; of too many reasons the first.
+        """Adds a process's counts since its start; reasons beyond the limit are ignored.
 
         Raises:
             MessageError: it is one process too many.
@@ -61,7 +61,7 @@ class DropCounts:
             self._changed.add(process)
 
     def take_changed(self) -> list[DropRow]:
-        """Returns the rows of all processes of which something new was heard, once."""
+        """Returns the rows of all processes whose counts changed, once."""
         changed, self._changed = sorted(self._changed), set()
         return [
             DropRow(process, reason, times)
@@ -70,14 +70,14 @@ class DropCounts:
         ]
 
     def total(self) -> int:
-        """Returns how much was dropped in all."""
+        """Returns the total number of dropped messages."""
         return sum(counts.total.total() for counts in self._counts.values())
 
 
 class BusGaps:
-    """Notes a gap whenever a bus's router was lost or was replaced by another.
+    """Registers a gap whenever a bus's router was lost or was replaced by another.
 
-    What was on its way then may have come to some and not to others.
+    Messages in transit may then have reached some subscribers and not others.
     """
 
     def __init__(self, name: BusName, bus: Bus) -> None:
@@ -88,7 +88,7 @@ class BusGaps:
         self._since: int | None = None
 
     def look(self, last_whole: int, now_ns: int) -> None:
-        """Asks the bus, before messages are taken; `last_whole` is the last frame with all."""
+        """Checks the bus's router, before messages are taken; `last_whole`: last complete frame."""
         router = self._bus.router()
         if router == self._router:
             return
@@ -99,7 +99,7 @@ class BusGaps:
     def received(self, bus: BusName, frame: int, received_ns: int) -> GapRow | None:
         """Returns the gap that ends with a message of this frame, if one does.
 
-        What came before the change was seen may have come through the router that is gone.
+        Messages received before the change was noticed may have come through the old router.
         """
         is_through = bus is self._name and self._router and received_ns > self._changed_ns
         if self._since is None or not is_through:
@@ -109,10 +109,9 @@ class BusGaps:
 
 
 class RestartGaps:
-    """The gap of a recorder that was away: it ends when something came again on both buses.
+    """The gap of a recorder that restarted: it ends when messages arrive again on both buses.
 
-    What is heard must be of the topic that was asked for last on its bus: then all others are
-    heard too.
+    They must be of the topic that was subscribed to last on its bus: then all others arrive too.
     """
 
     def __init__(self, last_whole: int) -> None:
@@ -120,7 +119,7 @@ class RestartGaps:
         self._first: dict[BusName, int] = {}
 
     def received(self, bus: BusName, frame: int) -> GapRow | None:
-        """Returns the gap as it is known now, if this tells more of it."""
+        """Returns the gap as it is known now, if this message changes it."""
         if bus in self._first:
             return None
         self._first[bus] = frame

@@ -1,6 +1,6 @@
-"""What is known of a run now, by junction and by region, from the messages that came so far.
+"""Current state of a run, by junction and by region, from the messages received so far.
 
-Whoever shows a run live asks here: the terminal, and the recorder for the metrics page.
+Used by live views: the terminal, and the recorder for the metrics page.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ AVERAGED_FRAMES = 50
 
 @dataclass(slots=True)
 class ObservedJunction:
-    """A junction's newest signal state, counts and request; None where none came yet."""
+    """A junction's newest signal state, counts and request; None before the first."""
 
     intersection: Intersection
     region: str
@@ -61,7 +61,7 @@ class ObservedJunction:
         return max(0, sim_time_ns - self.since_ns) / 1e9
 
     def take(self, message: LaneCounts | SignalState | SignalRequest) -> None:
-        """Takes a message about its signal."""
+        """Adds a message about its signal."""
         match message:
             case SignalRequest():
                 self.request = message
@@ -85,7 +85,7 @@ class ObservedRegion:
     agents: int = 0
 
     def take(self, counts: LaneCounts) -> None:
-        """Takes the counts of one of its junctions; the first of a frame tells of the frame."""
+        """Adds the counts of one of its junctions; the first of a frame starts the frame."""
         if counts.frame == self.frame:
             return
         self.frame, self.agents = counts.frame, len(counts.agents)
@@ -95,10 +95,10 @@ class ObservedRegion:
 
 
 class Observation:
-    """Follows all junctions and regions of a run; one is the case of one in each table."""
+    """Tracks all junctions and regions of a run; a single one is the case of one in each table."""
 
     def __init__(self, road_map: RoadMap, regions: Mapping[str, Sequence[str]]) -> None:
-        """Takes the signals of each region; of those that are not on the map nothing is known."""
+        """Stores the signals of each region; those that are not on the map are ignored."""
         known = road_map.by_tls
         self.regions = {
             region: ObservedRegion([ObservedJunction(known[t], region) for t in own if t in known])
@@ -107,7 +107,7 @@ class Observation:
         self.junctions = {one.tls: one for one in self._listed()}
 
     def take(self, message: Message) -> None:
-        """Takes a message about a signal; others, and those of unknown signals, are ignored."""
+        """Adds a message about a signal; others, and those of unknown signals, are ignored."""
         if not isinstance(message, LaneCounts | SignalState | SignalRequest):
             return
         if (junction := self.junctions.get(message.tls)) is None:
@@ -122,7 +122,7 @@ class Observation:
 
 
 def joined_detections(one: Detections, other: Detections) -> Detections:
-    """Returns what two regions detected in a frame."""
+    """Returns the detections of two regions in a frame as one."""
     return Detections(
         frame=one.frame,
         sim_time_ns=one.sim_time_ns,

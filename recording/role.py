@@ -43,7 +43,7 @@ from recording.observation import Observation, ObservedJunction
 
 @dataclass(slots=True)
 class ProgressTracker:
-    """Gathers between two reports; rates are per simulated second, as the agents would see them."""
+    """Collects progress between two reports; rates are per simulated second, as agents see them."""
 
     frame_period_ns: int
     observation: Observation
@@ -61,7 +61,7 @@ class ProgressTracker:
     _since: tuple[int, int] | None = None
 
     def ticked(self, tick: Tick, now_ns: int) -> None:
-        """Notes where the world is."""
+        """Registers the world's tick."""
         equipment = tick.equipment.tolist()
         self.frame, self.sim_time_ns = tick.frame, tick.sim_time_ns
         self.vehicles = tick.bodies
@@ -71,11 +71,11 @@ class ProgressTracker:
             self._since = (tick.sim_time_ns - self.frame_period_ns, now_ns)
 
     def detected(self, region: str, vehicles: int) -> None:
-        """Notes how many vehicles a region detected in its last frame."""
+        """Registers how many vehicles a region detected in its last frame."""
         self._detections[region] = vehicles
 
     def measured(self, metrics: Metrics) -> None:
-        """Notes what was sent; of too many agents no more are told of."""
+        """Adds sent bytes; agents beyond the limit are not reported."""
         for upload in metrics.uploads:
             if upload.agent in self.payload_bytes or len(self.payload_bytes) < MAX_PROGRESS_AGENTS:
                 self.payload_bytes[upload.agent] += upload.payload_bytes
@@ -83,14 +83,14 @@ class ProgressTracker:
                 self.region_bytes[upload.region] += upload.payload_bytes
 
     def took(self, frame: tables.FrameRow, regions: Iterable[tables.RegionFrameRow]) -> None:
-        """Notes how long the newest frame took, as far as that is known."""
+        """Registers the end-to-end time of the newest frame, if known."""
         self.end_to_end_ns = frame.end_to_end_ns or self.end_to_end_ns
         self.region_end_to_end_ns |= {
             row.region: row.end_to_end_ns for row in regions if row.end_to_end_ns
         }
 
     def report(self, now_ns: int, drops: int) -> Progress:
-        """Returns what happened since the last report and begins anew."""
+        """Returns the progress since the last report, and resets."""
         sim_ns, wall_ns = self._since or (self.sim_time_ns, now_ns)
         sim_passed_ns, wall_passed_ns = self.sim_time_ns - sim_ns, now_ns - wall_ns
         self._since = (self.sim_time_ns, now_ns)
@@ -146,10 +146,10 @@ SILENCE_NS = 150_000_000
 
 
 class EndOfRun:
-    """Waits for stragglers: topics of two buses and many processes keep no common order."""
+    """Waits for late messages: topics of two buses and many processes have no common order."""
 
     def __init__(self, last_to_publish: Collection[str], regions: int) -> None:
-        """The last frame is whole once these processes have published, of so many regions."""
+        """The last frame is complete once these processes have published, of so many regions."""
         self._last_to_publish = frozenset(last_to_publish)
         self._regions = regions
         self._began_ns: int | None = None
@@ -157,16 +157,16 @@ class EndOfRun:
         self._received_ns = 0
 
     def begin(self, now_ns: int, *, in_time: bool) -> None:
-        """The world stops; if before its time, the last frame is not waited for."""
+        """Handles the end of the world; if that is early, the last frame is not waited for."""
         self._began_ns = now_ns
         self._awaits_last_frame = in_time
 
     def received(self, now_ns: int) -> None:
-        """A message arrived."""
+        """Registers that a message arrived."""
         self._received_ns = max(self._received_ns, now_ns)
 
     def is_over(self, now_ns: int, aggregator: FrameAggregator) -> bool:
-        """Whether the last frame is whole and all are silent, or patience has run out."""
+        """Whether the last frame is complete and no messages arrive, or the timeout is over."""
         if self._began_ns is None:
             return False
         if now_ns - self._began_ns >= PATIENCE_NS:
@@ -188,11 +188,11 @@ COMMIT_ROWS = 5_000
 PROGRESS_NS = 1_000_000_000
 _log = logging.getLogger(__name__)
 _LOOK_NS = 5_000_000  # less than any reconnection takes
-_SUBSCRIBED_LAST = ("tick", "state")  # of each bus one: who hears it hears all others too
+_SUBSCRIBED_LAST = ("tick", "state")  # of each bus one: when it arrives, all others arrive too
 
 
 class RecordRole:
-    """Writes what the run says of itself; never in the way of a frame."""
+    """The record role: writes a run's messages to its database; never delays a frame."""
 
     def __init__(self, context: Context) -> None:
         """Opens the database and subscribes.
@@ -235,10 +235,10 @@ class RecordRole:
 
     @classmethod
     def build(cls, context: Context) -> RecordRole:
-        """Makes the role and announces that it listens."""
+        """Makes the role and announces that it is ready."""
         role = cls(context)
         context.inbox.set_quotas(is_paced=context.setup.scenario.get("mode") != "lockstep")
-        context.world.watch()  # who is present has a quota of its own
+        context.world.watch()  # present processes have a quota of their own
         for name in sorted(role._handlers, key=_SUBSCRIBED_LAST.__contains__):
             topic = TOPICS[name]
             bus = context.world if topic.bus is BusName.WORLD else context.v2x
@@ -247,7 +247,7 @@ class RecordRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a message; one of a frame that cannot be is counted and dropped."""
+        """Handles a message; one of an implausible frame is counted and dropped."""
         if isinstance(item, Presence) or item.topic not in self._handlers:
             return
         self._look(time.monotonic_ns())
@@ -256,7 +256,7 @@ class RecordRole:
             self._note_gaps(item)
         except MessageError as error:
             self._context.inbox.refuse(item.topic, error)
-        if item.topic != "clock":  # which says nothing about frames, and goes on
+        if item.topic != "clock":  # which is about no frame, and continues
             self._ending.received(item.received_ns)
         if self._database.is_full:
             self._commit(time.monotonic_ns())
@@ -352,7 +352,7 @@ class RecordRole:
 
     def _on_state(self, state: m.SignalState, _: Envelope) -> None:
         self._aggregator.check(state.frame)
-        if state.tls == self._first_tls:  # one of them has room on a line
+        if state.tls == self._first_tls:  # the progress line has room for one
             self._progress.state = state.state
         self._progress.observation.take(state)
         self._database.add(tables.PhaseRow, [rows.phase_row(state)])
@@ -382,7 +382,7 @@ class RecordRole:
             self._database.add(tables.CloudRow, [rows.cloud_row(scan, item.parts["region"])])
 
     def _look(self, now_ns: int) -> None:
-        """Looks after the routers, but not for each of many messages that came at once."""
+        """Checks the routers, but not for each of many messages that came at once."""
         if now_ns - self._looked_ns < _LOOK_NS:
             return
         self._looked_ns = now_ns
@@ -390,7 +390,7 @@ class RecordRole:
             reach.look(self._last_request, now_ns)
 
     def _note_gaps(self, received: Envelope) -> None:
-        """Notes the gaps that a message ends; those that measure are of frames long gone."""
+        """Records the gaps that a message ends; metrics do not, as they are of earlier frames."""
         frame = getattr(received.message, "frame", None)
         topic = TOPICS[received.topic]
         if frame is None or topic.delivery is Delivery.TELEMETRY:

@@ -1,4 +1,4 @@
-"""Messages as rows; the lists of a message are equally long, or it would not have come."""
+"""Converts messages to rows; a valid message's lists are equally long."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def phase_row(message: SignalState) -> PhaseRow:
 
 
 def request_row(message: SignalRequest) -> RequestRow:
-    """Returns a policy's wish in a frame."""
+    """Returns a policy's request in a frame."""
     return RequestRow(
         frame=message.frame,
         tls=message.tls,
@@ -171,7 +171,7 @@ def parked_rows(setup: Setup) -> Iterator[ParkedRow]:
 
 
 def sighting_row(message: Sighting) -> SightingRow:
-    """Returns what one agent's scan had of which vehicles."""
+    """Returns the number of an agent's points by vehicle."""
     points = dict(zip(message.vehicles, message.points.tolist(), strict=True))
     return SightingRow(message.frame, message.agent, json.dumps(points))
 
@@ -209,7 +209,7 @@ def stage_rows(message: Metrics) -> Iterator[StageRow]:
 
 
 def agent_score_rows(message: Metrics) -> Iterator[AgentScoreRow]:
-    """Returns a row per agent that an edge told of."""
+    """Returns a row per agent with a score of an edge."""
     return (
         AgentScoreRow(
             frame=message.frame,

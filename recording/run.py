@@ -1,4 +1,4 @@
-"""Reads run folders, read-only, of runs that ended, were killed or go on; compares two of them."""
+"""Reads run folders, read-only, of runs that ended, were killed or are running; compares two."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Run:
         self.close()
 
     def close(self) -> None:
-        """Lets the database go."""
+        """Closes the database."""
         self._connection.close()
 
     def rows(self, row: type[R]) -> Iterator[R]:
@@ -74,7 +74,7 @@ class Run:
             yield from map(table.row._make, self._connection.execute(table.select))
 
     def query(self, sql: str, *parameters: object) -> list[tuple[Any, ...]]:
-        """Returns what a SELECT gives; see `recording.tables` for the columns.
+        """Returns the rows of a SELECT; see `recording.tables` for the columns.
 
         Raises:
             ConfigError: the database is damaged.
@@ -99,7 +99,7 @@ class Run:
         """The resolved scenario.
 
         Raises:
-            ConfigError: what was recorded of it is no JSON object.
+            ConfigError: the recorded one is no JSON object.
         """
         text = self.meta.get("scenario", "{}")
         try:
@@ -112,7 +112,7 @@ class Run:
 
     @cached_property
     def setup(self) -> Setup:
-        """What every process was given: the road, vehicle types, meshes.
+        """The run's setup message: the road, vehicle types, meshes.
 
         Raises:
             ConfigError: the folder lacks it or it is damaged.
@@ -162,7 +162,7 @@ class Run:
 
 
 def _advice(error: str) -> str:
-    """Says where rows may be that a database lacks."""
+    """Returns advice on where rows may be that a database lacks."""
     if not error.startswith("no such table"):
         return ""
     wal = f"{FILE_NAME}-wal"
@@ -178,7 +178,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         connection.close()
         connection = sqlite3.connect(f"{uri}?immutable=1", uri=True)
     except sqlite3.DatabaseError:
-        pass  # not a database: the caller finds out and says so
+        pass  # not a database: the caller raises
     return connection
 
 
@@ -238,7 +238,7 @@ def _difference(table: Table, a: Run, b: Run) -> Difference:
 
 def _pairs(table: Table, a: Iterator[_Row], b: Iterator[_Row]) -> Iterator[_Pair]:
     """Yields rows with the same keys together, None where a run has no such row."""
-    if not table.keys:  # these are told apart by their place alone
+    if not table.keys:  # these are identified by their position alone
         yield from zip_longest(a, b)
         return
     row_a, row_b = next(a, None), next(b, None)
@@ -251,12 +251,12 @@ def _pairs(table: Table, a: Iterator[_Row], b: Iterator[_Row]) -> Iterator[_Pair
 
 
 def _key(table: Table, row: _Row | None) -> tuple[Any, ...]:
-    """Returns what a row is sorted by; that of none is beyond all others."""
+    """Returns the sort key of a row; that of None is beyond all others."""
     return (True,) if row is None else (False, *row[: table.keys])
 
 
 def _description(table: Table, row_a: _Row | None, row_b: _Row | None) -> str:
-    """Returns which row it is, by its keys, and what differs in it."""
+    """Describes a differing row: its keys, and the columns that differ."""
     named = zip(table.columns[: table.keys], row_a or row_b or (), strict=False)
     place = " ".join(f"{name} {value}" for name, value in named)
     if row_a is None or row_b is None:

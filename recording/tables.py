@@ -42,13 +42,13 @@ class MetaRow(NamedTuple):
 
 
 class FrameRow(NamedTuple):
-    """One frame of all regions; NULL is what was never heard of.
+    """One frame of all regions; NULL is what was never received.
 
-    `vehicles` are all in the net. `agents` are those of which anything arrived in time, a pose at
-    least, and was not excluded, be it in several regions; `points` are those of their scans.
+    `vehicles` are all in the net. `agents` are those of which data arrived in time, a pose at
+    least, and was not excluded, also in several regions; `points` are those of their scans.
     `detections` leave out coasted vehicles, which the table `detections` also holds. `complete` is
-    1 if in each region all had arrived that was announced to it; request and end-to-end time are
-    those of the last region.
+    1 if in each region all announced data had arrived; request and end-to-end time are those of the
+    last region.
     """
 
     frame: int
@@ -66,7 +66,7 @@ class FrameRow(NamedTuple):
 
 
 class RegionFrameRow(NamedTuple):
-    """One frame of one region; NULL is what was never heard of.
+    """One frame of one region; NULL is what was never received.
 
     `border_bytes` were sent to neighbouring regions, `end_to_end_ns` ends with its last cabinet.
     """
@@ -83,10 +83,10 @@ class RegionFrameRow(NamedTuple):
 
 
 class UploadRow(NamedTuple):
-    """One chunk: what its sender said of it (`link_sim_ns` on a virtual link), then the edge.
+    """One chunk: metrics of its sender (`link_sim_ns` on a virtual link), then of the edge.
 
-    `wire_bytes` and `wire_received_bytes` stand in one row of an agent's frame: all that its link
-    carried in it, up and down, as IP packets. They are known when the next frame begins: the last
+    `wire_bytes` and `wire_received_bytes` stand in one row of an agent's frame: all bytes on its
+    link in it, up and down, as IP packets. They are known when the next frame begins: the last
     one's are NULL. In a run within one process a chunk is received while it is sent, so that
     `received_ns` lies before `sent_ns`; on a virtual link it takes `link_sim_ns`.
     """
@@ -120,7 +120,7 @@ class StageRow(NamedTuple):
 
 
 class LatencyRow(NamedTuple):
-    """Where a frame's time went for one agent in a region; stages sum to `end_to_end_ns`."""
+    """Latency breakdown of a frame for one agent in a region; stages sum to `end_to_end_ns`."""
 
     frame: int
     region: str
@@ -152,10 +152,10 @@ class DetectionRow(NamedTuple):
     """One vehicle known to a region's edge: its box's centre, size, heading in the map frame.
 
     `object_class` is of `protocol.messages.ObjectClass`. `track` is the vehicle's id from frame to
-    frame, unique in the run's city, 0 where nothing tracks. `coasted_s` is the time since a sensor
-    last saw it, 0 if one did in this frame; of others the position is predicted, and `score` is the
+    frame, unique in the run's city, 0 without tracking. `coasted_s` is the time since a sensor last
+    saw it, 0 if one did in this frame; of others the position is predicted, and `score` is the
     probability that the vehicle is there. A new track's `speed_mps` is its lane's limit, or that of
-    the vehicle beside it, and `speed_std_mps` says how little that means.
+    the vehicle beside it, and `speed_std_mps` is accordingly large.
     """
 
     frame: int
@@ -196,7 +196,7 @@ class CountRow(NamedTuple):
 
 
 class PhaseRow(NamedTuple):
-    """What the signal showed, and who asked for it."""
+    """The signal's state, and the source of the request for it."""
 
     frame: int
     tls: str
@@ -208,7 +208,7 @@ class PhaseRow(NamedTuple):
 
 
 class RequestRow(NamedTuple):
-    """What a policy asked for; `pressures` is a JSON list in vehicles.
+    """A policy's request; `pressures` is a JSON list in vehicles.
 
     `delay_sim_ns`, with virtual links: how long after the frame's time it reached the cabinet.
     `unknown`: lanes without coverage, whose vehicles were estimated, separated by spaces.
@@ -224,7 +224,7 @@ class RequestRow(NamedTuple):
 
 
 class TruthRow(NamedTuple):
-    """Where a vehicle or pedestrian truly was: footprint centre on the ground, in the map frame.
+    """Ground truth of a vehicle or pedestrian: footprint centre on the ground, in the map frame.
 
     `lane` is empty for those off the road; `type` is one of `vehicle_types`.
     """
@@ -245,7 +245,7 @@ class TruthRow(NamedTuple):
 
 
 class VehicleTypeRow(NamedTuple):
-    """A type of bodies in `truth` and `parked`, and what detectors are to call it.
+    """A type of bodies in `truth` and `parked`, and the class that detectors should give it.
 
     `object_class` is of `protocol.messages.ObjectClass`, as that of detections.
     """
@@ -279,9 +279,10 @@ class SightingRow(NamedTuple):
 
 
 class AgentScoreRow(NamedTuple):
-    """How far an edge trusts an agent; a row when it changed, and while the agent is excluded.
+    """Misbehaviour score of an agent; a row when it changed, and while the agent is excluded.
 
-    `score` is a mean over frames; the others are of this frame alone, NULL where nothing speaks.
+    `score` is a mean over frames; the others are of this frame alone, NULL where there was nothing
+    to check.
     """
 
     frame: int
@@ -295,10 +296,10 @@ class AgentScoreRow(NamedTuple):
 
 
 class AlignmentRow(NamedTuple):
-    """By how much an edge takes an agent's poses to be off, in frames in which its scan was used.
+    """Pose error of an agent, as an edge estimates it, in frames in which its scan was used.
 
     The offset is the claimed pose minus the found one; `std_m` is of x and of y, the larger. Of the
-    scan's `points` where the edge's static map knows what is there, the share `inliers` fits it.
+    scan's `points` where the edge's static map has data, the share `inliers` fits it.
     """
 
     frame: int
@@ -331,7 +332,7 @@ class TripRow(NamedTuple):
 
 
 class ClockRow(NamedTuple):
-    """What to add to a process's clock to have that of the world's host, at the end of the run."""
+    """Offset from a process's clock to that of the world's host, at the end of the run."""
 
     process: str
     offset_ns: int
@@ -350,8 +351,8 @@ class GapRow(NamedTuple):
     """Messages between these frames may be missing, all or some.
 
     `away` was the recorder itself, or the router of a bus: `recorder`, `v2x` or `world`.
-    `after_frame` is the last of which there was the request when it broke off, `until_frame` the
-    first of which something came again.
+    `after_frame` is the last with a request before the gap, `until_frame` the first with a message
+    after it.
     """
 
     after_frame: int
@@ -360,7 +361,7 @@ class GapRow(NamedTuple):
 
 
 class CloudRow(NamedTuple):
-    """One upload of a snapshot frame as it went over the bus; `sensor_*` is `map_SE3_sensor`."""
+    """One upload of a snapshot frame, as published on the bus; `sensor_*` is `map_SE3_sensor`."""
 
     frame: int
     region: str
@@ -380,7 +381,7 @@ class CloudRow(NamedTuple):
 class Table:
     """A table: its row type, how many leading columns identify a row, and how it is stored.
 
-    `is_result` marks tables that hold no reading of a real clock and no measured byte, so that two
+    `is_result` marks tables that hold no times of a real clock and no measured bytes, so that two
     lockstep runs of one scenario and seed agree in every row.
     """
 

@@ -1,4 +1,4 @@
-"""Beams with a width: at an edge, both surfaces return light (mixed pixels).
+"""Beam divergence: at an edge, both surfaces return light (mixed pixels).
 
 An edge between two beams lies anywhere between their axes. A beam whose width reaches over it
 brings back the power of both surfaces by their share of the beam. If they lie within a pulse's
@@ -24,7 +24,7 @@ _RIGHT, _LEFT, _ABOVE, _BELOW = 0, 1, 2, 3  # sides of a beam
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BeamWidths:
-    """How far beams reach.
+    """Widths of beams.
 
     Attributes:
         along: half a beam's width in steps between its ring's beams.
@@ -37,7 +37,7 @@ class BeamWidths:
 
     @classmethod
     def of(cls, pattern: ScanPattern, divergence_mrad: float) -> BeamWidths:
-        """Returns those of a full divergence along the ring, across it half of that."""
+        """Returns the widths for a full divergence along the ring, and half of it across."""
         half_rad = divergence_mrad * 1e-3 / 2
         apart = -np.diff(pattern.elevations_rad)
         across = np.append(half_rad / 2 / np.maximum(apart, 1e-6), 0.0).astype(np.float32)

@@ -226,7 +226,7 @@ class SceneConfig(Section):
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """An upload policy and all filters, the policy's own included."""
+    """A resolved upload policy and all filters, the policy's own included."""
 
     policy: PolicyName
     filters: frozenset[Filter]

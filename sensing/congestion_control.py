@@ -2,7 +2,7 @@
 
 CUBIC (RFC 9438) with its friendliness towards Reno, proportional rate reduction during recovery
 (RFC 6937), slow start after idle times and after a time in which the window was not used (RFC
-2861). Windows are in packets; roundings are the kernel's, for they tell when a small one grows.
+2861). Windows are in packets; roundings are the kernel's, for they decide when a small one grows.
 HyStart is left out: it matters before the first loss only.
 """
 
@@ -20,7 +20,7 @@ _MAX_ACKS_BEFORE_LOSS = 20  # for one more packet, as long as no loss gave a win
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """What an acknowledgement changed; amounts in packets."""
+    """Effect of an acknowledgement; amounts in packets."""
 
     now_ns: int
     delivered: int
@@ -63,7 +63,7 @@ class Cubic:
     def on_new_data(
         self, now_ns: int, first: int, end: int, *, is_limited: bool, timeout_ns: int, is_open: bool
     ) -> None:
-        """Judges whether the window is what limits; packets from `first` to `end` are out."""
+        """Decides whether the window is the limit; packets from `first` to `end` are in flight."""
         out = end - first
         if (
             first >= self._judged_until
@@ -83,12 +83,12 @@ class Cubic:
             self._used, self._judged_ns = 0, now_ns
 
     def on_start(self, now_ns: int, idle_ns: int) -> None:
-        """Takes time in which nothing was out from the age of the epoch."""
+        """Subtracts time in which nothing was in flight from the age of the epoch."""
         if self._epoch_ns is not None:
             self._epoch_ns = min(self._epoch_ns + idle_ns, now_ns)
 
     def on_idle(self, now_ns: int, idle_ns: int, timeout_ns: int) -> None:
-        """Halves the window for each timeout that nothing was out, down to the initial one."""
+        """Halves the window for each timeout with nothing in flight, down to the initial one."""
         if idle_ns <= timeout_ns:
             return
         self._keep_threshold()
@@ -142,7 +142,7 @@ class Cubic:
     def _reduce(self) -> None:
         self._epoch_ns = None
         before, self._window_before_loss = self._window_before_loss, self.window
-        if self.window < before:  # it gives way to newcomers
+        if self.window < before:  # fast convergence: it yields to new flows
             self._window_before_loss = self.window * (_SCALE + _BETA) // (2 * _SCALE)
         self._threshold = max(2, self.window * _BETA // _SCALE)
 

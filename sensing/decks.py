@@ -1,4 +1,4 @@
-"""Decks: where lanes pass over other lanes, and so have a surface of their own.
+"""Bridge decks: where lanes pass over other lanes, and so have a surface of their own.
 
 A lane that rises from an embankment needs as much room beside it as the embankment is wide. Where
 that room is another lane's, and the two cross nearby, it stands on a deck.

@@ -1,7 +1,7 @@
 """Ray casting with Embree, in packets of sixteen rays: the distance to the first triangle.
 
-The package embreex ships Embree, but hands over one ray at a time. This calls the library that it
-ships: sixteen neighbours at once take less than a third of the time.
+The package embreex ships Embree, but casts one ray at a time. This calls the library that it ships:
+sixteen neighbours at once take less than a third of the time.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def cast_packets(
         bits[_MASK, lane] = -1
         bits[_ID, lane] = 0
         bits[_FLAGS, lane] = 0
-    bits[_HIT:] = -1  # the triangle, and what nobody reads
+    bits[_HIT:] = -1  # the triangle, and unused rows
     for first in range(0, count, PACKET):
         size = min(PACKET, count - first)
         for axis in range(3):

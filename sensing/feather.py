@@ -1,4 +1,4 @@
-"""Tables of numbers in Feather's file format, as Argoverse 2 has them."""
+"""Reader of tables in the Feather file format, as Argoverse 2 uses it."""
 
 from __future__ import annotations
 

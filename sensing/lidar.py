@@ -36,7 +36,7 @@ from sensing.weather import add_backscatter, attenuation_per_m, backscatter, dro
 def returns(
     view: RayHits, config: LidarConfig, rng: np.random.Generator
 ) -> tuple[Floats32, Floats32]:
-    """Returns range, 0 for none, and intensity, both (channels, columns).
+    """Computes the returns: range, 0 for none, and intensity, both (channels, columns).
 
     Where surfaces differ, see `sensing.reflectivity`. Else after CARLA 0.9's `ARayCastLidar`
     (`RayCastLidar.cpp`): intensity is exp(-attenuation * d). `PreprocessRays` loses a ray with the
@@ -172,7 +172,7 @@ class StaticView:
     strength: Floats32
 
 
-_ON_BODY_M = 0.5  # farther off a return is another thing's: a drop's, or that of what is behind
+_ON_BODY_M = 0.5  # farther off a return is another object's: a drop's, or that of what is behind
 _KEPT_VIEWS = 32  # of sensors that stand still: 0.5 MB each
 
 
@@ -287,9 +287,9 @@ class Lidar:
     ) -> Sensed:
         """Returns one revolution.
 
-        With a rolling shutter, each body is where it is when the beam passes its middle. What the
-        sensor's own motion does to a scan, an agent undoes: with odometry that is 0.1 m/s off,
-        half a revolution leaves 5 mm.
+        With a rolling shutter, each body is where it is when the beam passes its middle. An agent
+        corrects a scan for the sensor's own motion: with odometry that is 0.1 m/s off, half a
+        revolution leaves 5 mm.
 
         Args:
             map_SE3_sensor: where the sensor truly is.
@@ -301,7 +301,7 @@ class Lidar:
             speeds_mps: of the bodies (N,), along their heading; they stand without.
 
         Raises:
-            MessageError: a type that the set-up did not announce.
+            MessageError: a type that the setup does not contain.
         """
         if self._config.rolling_shutter and speeds_mps is not None:
             poses = driven(poses, speeds_mps * self._after_s(map_SE3_sensor, poses))

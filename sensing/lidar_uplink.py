@@ -1,4 +1,4 @@
-"""The uplink of an agent with a LiDAR: sense, select, encode (or detect on board) and send."""
+"""Uplink of an agent with a LiDAR: scan, select, encode (or detect on board) and send."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ MAX_COLUMNS = 8192  # rays of a laser in a revolution
 MAX_CHUNKS = 64  # of a scan, as `protocol.messages.Scan` has it
 
 # The edge's plans
-MAX_AGE_FRAMES = 10  # an older plan is of a scene that has passed
+MAX_AGE_FRAMES = 10  # an older plan no longer fits the scene
 MAX_AHEAD_FRAMES = 64  # a plan for later than this is an error
 
 # Nets

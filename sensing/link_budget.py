@@ -1,4 +1,4 @@
-"""Whether a whole scan can reach the edge before its deadline, told before a run starts."""
+"""Link budget: warns before a run starts if a whole scan cannot meet the edge's deadline."""
 
 from __future__ import annotations
 

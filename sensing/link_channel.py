@@ -43,7 +43,7 @@ class StepFunction:
 
     @classmethod
     def constant(cls, value: int) -> StepFunction:
-        """Returns what never changes."""
+        """Returns a function that never changes."""
         return cls([0], [value], 1_000_000_000)
 
     def at(self, time_ns: int) -> int:
@@ -153,7 +153,7 @@ class Channel:
 
     @classmethod
     def draw(cls, profile: LinkProfile, seed: int, agent: str) -> Channel:
-        """Returns the channel of an agent; the same for the same arguments, on any machine."""
+        """Draws the channel of an agent; the same for the same arguments, on any machine."""
         rate = profile.rate
         bps: StepFunction | InterruptedSteps
         if isinstance(rate, TraceRate):
@@ -257,7 +257,7 @@ def _interrupted(
 
 @dataclass(frozen=True, slots=True)
 class Transmission:
-    """A message's way over a virtual link, in simulated time.
+    """Times of a message on a virtual link, in simulated time.
 
     It was queued at `sent_ns`, its first bit left at `left_ns` and its last at `gone_ns`.
     """
@@ -275,14 +275,14 @@ class Transmission:
 
 
 class VirtualLink:
-    """A first-in, first-out queue before a channel, in simulated time; no clock is read."""
+    """A virtual link: a first-in, first-out queue before a channel, in simulated time."""
 
     def __init__(self, channel: Channel) -> None:
         self._channel = channel
         self._last: Transmission | None = None
         self._before: list[
             Transmission | None
-        ] = []  # of what may be recalled, what was last before it
+        ] = []  # of those that may be recalled: the last one before it
 
     def send(self, now_ns: int, size_bytes: int, *, recallable: bool = False) -> Transmission:
         """Queues a message of so many bytes of TCP payload.

@@ -1,4 +1,4 @@
-"""A link that loses packets, in simulated time: `VirtualLink` with TCP's repairs."""
+"""A virtual link with packet loss and TCP's retransmissions, in simulated time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ LEAST_INTERVAL_NS = 10_000_000  # of frames that are expected to follow
 class LossyLink:
     """A connection over a channel that loses packets; no clock is read.
 
-    When a message arrives is told as it is sent. It depends on what follows, which makes the loss
-    of a message's last packets known: assumed are the chunk that follows a pose, and frames of the
-    last one's size at the last ones' interval. A later message may be told to arrive before it.
+    A message's arrival is predicted as it is sent. It depends on later packets, which reveal the
+    loss of a message's last ones: assumed are the chunk that follows a pose, and frames of the last
+    one's size at the last ones' interval. A later message may be predicted to arrive before it.
     """
 
     def __init__(self, channel: Channel, losses: LossPattern) -> None:

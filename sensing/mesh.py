@@ -187,7 +187,7 @@ def _is_ear(outline: Floats, left: list[int], k: int) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BodyShapes:
-    """What a frame's bodies look like: index of the mesh (N,) and size (N, 3) in m."""
+    """Shapes of a frame's bodies: index of the mesh (N,) and size (N, 3) in m."""
 
     mesh: npt.NDArray[np.int64]
     size_m: Floats
@@ -214,7 +214,7 @@ class VehicleShapes:
 
     @classmethod
     def from_setup(cls, setup: Setup) -> VehicleShapes:
-        """Cuts the meshes out of a run's set-up.
+        """Extracts the meshes from a run's setup.
 
         Raises:
             MessageError: a part lies outside the arrays, or a type names no part.
@@ -240,7 +240,7 @@ class VehicleShapes:
         """Looks up a frame's types.
 
         Raises:
-            MessageError: a type that the set-up did not announce.
+            MessageError: a type that the setup does not contain.
         """
         try:
             found = [self._types[name] for name in types]

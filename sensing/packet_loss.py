@@ -11,7 +11,7 @@ _BLOCK = 4096  # packets; each block begins anew in a state drawn by its share o
 
 
 class LossPattern:
-    """Tells by a packet's number whether it is lost; drawn by seed and agent."""
+    """Which packets, by number, are lost; drawn by seed and agent."""
 
     def __init__(self, loss: PacketLoss, seed: int, agent: str) -> None:
         self._loss = loss
@@ -23,7 +23,7 @@ class LossPattern:
         """Whether the packet of this number, from 0, is lost."""
         number, place = divmod(packet, _BLOCK)
         if number not in self._blocks:
-            self._blocks.pop(number - 2, None)  # a forecast is never further ahead
+            self._blocks.pop(number - 2, None)  # a prediction is never further ahead
             self._blocks[number] = self._draw(number)
         return bool(self._blocks[number][place])
 

@@ -1,4 +1,4 @@
-"""The Point Cloud Library's .pcd, all kinds of data.
+"""Reader of the Point Cloud Library's .pcd files: ascii, binary and binary_compressed.
 
 Not by `pypcd4`: it refuses files without COUNT or WIDTH, reads truncated files as shorter ones and
 allocates what a header claims.
@@ -19,7 +19,7 @@ Columns = dict[str, npt.NDArray[np.float64]]
 
 
 def decompress(data: bytes, size: int) -> bytes:
-    """Returns the `size` bytes that were compressed; never more are written.
+    """Decompresses LZF to exactly `size` bytes; never more are written.
 
     Raises:
         ValueError: the data is damaged or holds another number of bytes.

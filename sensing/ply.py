@@ -1,4 +1,4 @@
-"""Stanford's .ply, of which the vertices are read: as text, or binary in either order of bytes."""
+"""Reader of the vertices of Stanford's .ply files: text, or binary in either byte order."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def read_ply(data: bytes) -> Columns:
     """Reads a file's bytes; what follows the vertices is left.
 
     Raises:
-        ValueError: they are not what their header says, or it is none.
+        ValueError: they do not match their header, or have none.
     """
     order, count, record, body = _header(data)
     if order == "=":

@@ -1,4 +1,4 @@
-"""Point clouds from files of other people.
+"""Readers of point clouds in common file formats (KITTI, nuScenes, Argoverse 2, PCL, PLY).
 
 | file | holds |
 |---|---|

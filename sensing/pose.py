@@ -1,4 +1,4 @@
-"""Poses of sensors on masts and roofs, and the pose that an agent believes to have.
+"""Poses of sensors on masts and roofs, and errors of an agent's own pose estimate.
 
 A CAV's error is the sum of a bias that stays, a drift and the noise of each frame. The drift is a
 first-order Gauss-Markov process: its correlation falls as exp(-t / drift_time_s). It is drawn as a
@@ -65,7 +65,7 @@ def estimated_pose(
     knows nothing of its tilt.
 
     Raises:
-        ValueError: the equipment is `NONE`: such a vehicle knows no pose to tell.
+        ValueError: the equipment is `NONE`: such a vehicle has no pose to report.
     """
     if equipment == Equipment.NONE:
         raise ValueError("a vehicle without equipment reports no pose")
@@ -85,7 +85,7 @@ def estimated_pose(
 
 
 class PoseEstimator:
-    """The poses that one CAV or CV believes to have."""
+    """Pose estimates of one CAV or CV, with their errors."""
 
     def __init__(
         self, config: PoseErrorConfig, seed: int, agent: str, equipment: Equipment
@@ -124,7 +124,7 @@ class PoseEstimator:
         return np.asarray(self._bias + drift)
 
     def estimate(self, true_pose: npt.ArrayLike, frame: int, sim_time_ns: int) -> Floats:
-        """Returns the pose (6,) that the agent believes to have in a frame.
+        """Returns the agent's estimate of its pose (6,) in a frame.
 
         Raises:
             ValueError: as `estimated_pose`.
@@ -157,7 +157,7 @@ def installed_pose(surveyed: SE3, config: PoseErrorConfig, seed: int, agent: str
 
 
 def clock_error_s(config: PoseErrorConfig, seed: int, agent: str) -> float:
-    """Returns how much later than it says an agent scans, for good."""
+    """Returns an agent's constant clock error: how much later it scans than it states."""
     if not config.clock_std_s:
         return 0.0
     return config.clock_std_s * float(stream(seed, "clock", agent).standard_normal())

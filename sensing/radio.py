@@ -1,4 +1,4 @@
-"""An agent's radio: congestion of its link, and arrival times of what it sends."""
+"""An agent's radio: congestion of its link, and arrival times of its messages."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ class Radio(Protocol):
         """
 
     def is_congested(self, sim_time_ns: int) -> bool:
-        """Whether the queue takes longer to leave than a frame lasts: skip a frame."""
+        """Whether the queue takes longer to send than a frame lasts: skip a frame."""
 
     def reception_ns(self, published_sim_ns: int) -> int:
-        """Returns when the agent receives what the edge published then, in simulated time."""
+        """Returns when the agent receives what the edge published at a time, in simulated time."""
 
     def transmit(self, sim_time_ns: int, size_bytes: int, *, is_chunk: bool) -> Transmission | None:
         """Sends a message over a virtual link; None where the link is real."""
 
     def traffic(self) -> Traffic:
-        """Returns what the link has carried so far, both ways."""
+        """Returns the link's traffic so far, in both directions."""
 
 
 class RealRadio:
-    """The transport itself is the link; TCP knows what it could not send yet."""
+    """A real link: the transport itself; TCP reports what it could not send yet."""
 
     is_virtual = False
 
@@ -56,7 +56,7 @@ class RealRadio:
         return 0
 
     def is_congested(self, sim_time_ns: int) -> bool:  # noqa: ARG002 - a real link has its own time
-        """Compares what is queued with what left since the last frame."""
+        """Compares the queued bytes with those sent since the last frame."""
         before, self._sent_bytes = self._sent_bytes, self._bus.wire_bytes()
         return self._bus.unsent_bytes() > max(0, self._sent_bytes - before)
 
@@ -131,7 +131,7 @@ class VirtualRadio:
         return replace(transmission, arrival_ns=NEVER_NS) if overtaken else transmission
 
     def traffic(self) -> Traffic:
-        """See `Radio.traffic`; what was recalled is not in it, what was repeated is."""
+        """See `Radio.traffic`; recalled messages are not included, retransmissions are."""
         return replace(self._bus.traffic(), data_sent_bytes=self._taken_bytes)
 
 

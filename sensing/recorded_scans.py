@@ -1,9 +1,8 @@
-"""Recorded scans: traffic and scans of a stretch of time that replace the simulated ones.
+"""Recorded scans: a folder with recorded traffic and scans that replace the simulated ones.
 
-A folder. `recording.json` names agents, scan pattern and frame period; `truth.bin` holds a `Truth`
-message a frame, each behind its length (u32); `ranges.npy` the scans (frames, agents, channels,
-columns) in steps of 2 mm, 0 for no return. It is played forwards, then backwards, so that nothing
-jumps.
+`recording.json` names agents, scan pattern and frame period; `truth.bin` holds a `Truth` message a
+frame, each behind its length (u32); `ranges.npy` the scans (frames, agents, channels, columns) in
+steps of 2 mm, 0 for no return. It is played forwards, then backwards, so that nothing jumps.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ class Recording:
 
     @cached_property
     def truths(self) -> list[Truth]:
-        """Where the bodies were, frame by frame."""
+        """The ground truth of the recorded frames, in order."""
         truths, at = [], 0
         while at < len(self._truth_bytes):
             end = at + 4 + int.from_bytes(self._truth_bytes[at : at + 4], "little")
@@ -93,7 +92,7 @@ class Recording:
         return truths
 
     def place(self, frame: int) -> int:
-        """Returns which recorded frame is played as a frame: forwards and backwards in turn."""
+        """Returns the index of the recorded frame to play: forwards and backwards in turn."""
         turn = max(2 * len(self.truths) - 2, 1)
         return min(frame % turn, turn - frame % turn) if turn > 1 else 0
 
@@ -142,7 +141,7 @@ def write_recording(
 
 
 def _open_array(path: Path) -> npt.NDArray[np.uint16]:
-    """Maps an array into memory; the header that its later formats allow may take 4 GB."""
+    """Maps an array into memory, with a bounded header: later formats allow one of 4 GB."""
     with path.open("rb") as file:
         if file.read(len(_FORMAT)) != _FORMAT:
             raise ValueError(f"{path.name} begins with no magic string of numpy's format 1.0")

@@ -1,4 +1,4 @@
-"""How much of a laser's light comes back, and from how far that is detected.
+"""Reflectivity of surfaces: how much laser light returns, and from what range it is detected.
 
 The power that returns from a surface larger than the beam goes with its reflectivity, with the
 cosine of the angle of incidence where it is smooth (Lambert's law), and with 1 / range^2 (Jelalian
@@ -39,7 +39,7 @@ _OF_MATERIALS = {
 # too), others in between; means and spread of the logarithm. Ours, after paint makers' surveys.
 _PAINTS = ((0.5, 0.6, 0.2), (0.33, 0.07, 0.3), (0.17, 0.3, 0.3))
 _PAINT_LIMITS = 0.03, 0.85
-MEAN_PAINT = 0.4  # where nobody says whose paint it is
+MEAN_PAINT = 0.4  # where no paint is given
 
 
 @lru_cache(maxsize=1 << 16)

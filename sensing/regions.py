@@ -12,7 +12,7 @@ from protocol.roadmap import RoadMap
 from sensing.road import resample
 
 HYSTERESIS_M = 20.0
-"""An agent leaves a region so much farther from its roads than it entered it."""
+"""Hysteresis, m: an agent leaves a region this much farther from its roads than it entered it."""
 _STEP_M = 10.0
 
 

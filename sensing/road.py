@@ -1,4 +1,4 @@
-"""The road's area: how far a place is from it, and the edges along which things stand."""
+"""The road's area: distance to it, and its edges, along which kerbs and buildings stand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RoadArea:
         self._index = _Index.of(road_map.lanes, self._outlines)
 
     def clearance_m(self, xy: npt.ArrayLike, most_m: float = math.inf) -> Floats:
-        """Returns how far places (N, 2) are from the road; 0 or less upon it.
+        """Returns the distance of places (N, 2) from the road; 0 or less on it.
 
         A place farther away than `most_m` has any number above it: such a search ends early.
         """

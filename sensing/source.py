@@ -1,4 +1,4 @@
-"""Where an agent's scans come from."""
+"""Scan sources: the LiDAR model, a recording, CARLA or a plug-in."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def source_of(setup: Setup, config: LidarConfig) -> ScanSource:
 
 
 def check_source(scenario: dict[str, Any]) -> None:
-    """Finds what would keep a plug-in from casting scans.
+    """Checks before the start that a plug-in can produce scans.
 
     Raises:
         ConfigError: it cannot be loaded, or refuses the scenario.

@@ -42,7 +42,7 @@ PLAN_WAIT_NS = 2_000_000_000  # in lockstep; a plan that has not come by then is
 
 
 class Station:
-    """Keeps the newest tick, so that an agent that is late continues with the present.
+    """Ticks, plans and uplinks of an agent process; a late agent continues with the newest tick.
 
     In lockstep, an agent that scanned in one frame waits in the next for the plan that the edge
     made of it: the same plan is followed however long its message took.
@@ -51,7 +51,7 @@ class Station:
     def __init__(
         self, context: Context, kind: AgentKind, region: str = "", *, sees_bodies: bool = True
     ) -> None:
-        """Serves one region, or all of the scenario; whoever plays a recording sees no bodies."""
+        """Serves one region, or all of the scenario; with a recording it needs no bodies."""
         scenario = context.setup.scenario
         self.context = context
         self.seed: int = scenario["seed"]
@@ -85,7 +85,7 @@ class Station:
         self.context.announce(role)
 
     def stand_at(self, places: Floats) -> None:
-        """Follows the world around sensors that stand at x, y (N, 2), map frame, in m."""
+        """Follows the bodies around stationary sensors at x, y (N, 2), map frame, in m."""
         if self._surroundings is not None:
             self._surroundings.stand_at(places)
 
@@ -94,7 +94,7 @@ class Station:
         return radio_of(self.context.setup.scenario, self.link, self._kind, agent, bus)
 
     def add(self, uplink: U) -> U:
-        """Takes an uplink, whose connection is its own, and subscribes to the edges' plans."""
+        """Adds an agent's uplink, with its own connection, and subscribes to the edges' plans."""
         if self._policy.cells or not self._lockstep:
             uplink.bus.subscribe("plan", agent=uplink.agent)
         self._uplinks[uplink.agent] = uplink
@@ -121,7 +121,7 @@ class Station:
         return not congested
 
     def take(self, item: Envelope | Presence) -> None:
-        """Takes ticks, plans and the end; ignores everything else."""
+        """Handles ticks, tile bodies, plans and the end; ignores everything else."""
         if not isinstance(item, Envelope):
             return
         if isinstance(item.message, Tick):
@@ -150,7 +150,7 @@ class Station:
     def publish_rosters(
         self, view: WorldView, members: Mapping[str, Sequence[str]], scanning: Collection[str]
     ) -> None:
-        """Publishes, before anything is sent, whose poses and scans each edge may expect.
+        """Publishes rosters, before anything is sent: whose poses and scans each edge can expect.
 
         Args:
             view: begins the frame.

@@ -1,7 +1,7 @@
-"""What lines a street besides houses, lights and trees: walls, fences, hedges, boxes, roofs.
+"""Street furniture: walls, fences, hedges, cabinets, sheds and roofs beside the road.
 
 A detector that has seen none of them takes them for vehicles. Sizes are those of common ones; of
-boxes none is as large as a car, and sheds are wider than lorries, so that no label is doubtful.
+boxes none is as large as a car, and sheds are wider than lorries, so that no label is ambiguous.
 """
 
 from __future__ import annotations

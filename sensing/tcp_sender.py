@@ -1,4 +1,4 @@
-"""TCP over a channel that loses packets: when what is written arrives, in computed time.
+"""Model of a TCP sender over a channel that loses packets: arrival times in simulated time.
 
 The sender of Linux 6, as far as it decides delays: selective acknowledgements, RACK and tail loss
 probes (RFC 8985), retransmission timeouts (RFC 6298, 200 ms at least), congestion control, timers
@@ -8,8 +8,8 @@ and acknowledges every second full packet, the last of a message and whatever is
 once. Acknowledgements are not lost, and no packet overtakes another. The queue before the channel
 has no limit.
 
-No clock is read: `advance` carries out what happens until a time. A fork that is advanced further
-tells the future, if nothing more is written.
+No clock is read: `advance` carries out all events until a time. A fork that is advanced further
+predicts the future, if nothing more is written.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Delivered:
 
 @dataclass(frozen=True, slots=True)
 class _Ack:
-    """What reaches the sender: the segment that caused it, and up to where all had arrived."""
+    """An acknowledgement: the segment that caused it, and the end of what had arrived in order."""
 
     time_ns: int
     segment: int
@@ -118,7 +118,7 @@ class _RoundTrip:
 class TcpSender:
     """One direction of a connection, from the first write to the last delivery.
 
-    `transmitted` and `delivered` collect what happened; whoever has read them clears them.
+    `transmitted` and `delivered` collect events; the reader clears them.
     """
 
     def __init__(self, channel: Channel, losses: LossPattern) -> None:
@@ -156,7 +156,7 @@ class TcpSender:
         self._unacked_bytes = 0
 
     def fork(self) -> TcpSender:
-        """Returns a copy that goes its own way."""
+        """Returns an independent copy."""
         other = copy(self)
         other.transmitted, other.delivered = list(self.transmitted), list(self.delivered)
         other._segments = {number: copy(one) for number, one in self._segments.items()}
@@ -180,7 +180,7 @@ class TcpSender:
 
     @property
     def room(self) -> int:
-        """How many more full segments would leave at once or wait as the next to leave together."""
+        """How many more full segments fit into the window, or wait to leave with the next."""
         open_window = self._congestion.window - self._in_flight - self._lost
         return max(0, open_window + _LEAST_BURST - self._unsent)
 
@@ -202,7 +202,7 @@ class TcpSender:
         return self._written_bytes
 
     def withdraw(self, since_byte: int) -> bool:
-        """Takes back what was written from here on; False if some of it has been sent."""
+        """Withdraws what was written from here on; False if some of it has been sent."""
         if since_byte < self._sent_bytes:
             return False
         self._written_bytes = since_byte
@@ -382,7 +382,7 @@ class TcpSender:
         self._arm()
 
     def _mark_arrived(self, ack: _Ack) -> tuple[int, int | None]:
-        """Returns how many packets it tells of, and a round trip if one was sent once only."""
+        """Returns how many packets it acknowledges, and a round trip if one was sent once only."""
         sample_ns: int | None = None
         numbers = list(range(self._acked, ack.next_expected))
         if ack.segment >= ack.next_expected:
@@ -408,7 +408,7 @@ class TcpSender:
         return len(arrived), sample_ns
 
     def _find_lost(self) -> int:
-        """Marks what RACK takes for lost; returns how many packets that is."""
+        """Marks the packets that RACK considers lost; returns their number."""
         self._reordered_ns = None
         if self._newest_rtt_ns == 0:
             return 0

@@ -70,7 +70,7 @@ _MAP_WAVES_M = (40.0, 150.0)  # lengths of the waves of a map's height error
 
 
 def believed_map(road_map: RoadMap, config: SceneConfig, seed: int) -> RoadMap:
-    """Returns the road map that agents and edges have: its heights are off by what maps are off.
+    """Returns the road map that agents and edges use, with a map's height error.
 
     Half of the error's variance is an offset of the whole map, half waves of 40 to 150 m.
     """
@@ -197,7 +197,7 @@ class Terrain:
     def _surface(
         self, places: LanePlaces, waves: Floats, first: tuple[int, int] = (0, 0)
     ) -> _Surface:
-        """Returns the surface of places on lanes, from a node (row, column) on."""
+        """Returns the surface under places on lanes, from a node (row, column) on."""
         origin = self.origin + np.array(first[::-1]) * self.cell_m
         relief, known = road_relief(places, origin, self.cell_m, waves.shape)
         nodes = np.ascontiguousarray(relief + waves)

@@ -1,4 +1,4 @@
-"""An agent's uplink to the edge: the plans it follows, its send queue, what it sent."""
+"""An agent's uplink to the edge: upload plans, send queue and the record of sent chunks."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class PlanHistory:
         return True
 
     def of(self, frame: int, sim_time_ns: int) -> Plan | None:
-        """Returns the plan to follow in a frame that begins then."""
+        """Returns the plan to follow in a frame that begins at a time."""
         for received in reversed(self._received):
             age_frames = frame - received.plan.frame
             if 0 <= age_frames <= MAX_AGE_FRAMES and received.arrival_sim_ns <= sim_time_ns:
@@ -95,9 +95,9 @@ class Outbox:
 
     A thread per agent, so that a slow uplink delays no other agent. The next chunk goes out when,
     by the edge's estimate of the uplink's rate, those before it have left, so that no more than
-    about one chunk ever queues below. It does not go out at all once a newer frame is there or the
-    edge has completed the frame. A slow uplink thus sends fewer chunks of each frame, then fewer
-    frames, each of them recent. `unsent` counts the chunks that a newer frame replaced.
+    about one chunk ever queues in the transport. It does not go out at all once a newer frame is
+    there or the edge has completed the frame. A slow uplink thus sends fewer chunks of each frame,
+    then fewer frames, each of them recent. `unsent` counts the chunks that a newer frame replaced.
     """
 
     def __init__(self, agent: str) -> None:
@@ -114,7 +114,7 @@ class Outbox:
         self._thread.start()
 
     def put(self, upload: FrameUpload) -> None:
-        """Takes the newest frame; it replaces what was not sent of the frame before.
+        """Takes the newest frame; it replaces the unsent chunks of the frame before.
 
         Raises:
             CpnetError: the error that sending the last frame failed with.
@@ -128,7 +128,7 @@ class Outbox:
             self._turn.notify()
 
     def receive(self, *, enough: int, mbps: float) -> None:
-        """Takes the last frame that needs no more chunks, and the rate, 0 if it is unknown."""
+        """Updates the last completed frame, and the estimated rate, 0 if it is unknown."""
         with self._turn:
             self._enough, self._mbps = max(enough, self._enough), mbps
             self._turn.notify()
@@ -315,9 +315,9 @@ class Uplink:
         return done
 
     def take_wire_counts(self, frame: int | None = None) -> list[WireCount]:
-        """Returns what the link carried for the last frame, if anything; `frame` begins now.
+        """Returns the link's traffic for the last frame, if any; `frame` begins now.
 
-        What connecting took is counted with the first frame.
+        The traffic of connecting is counted with the first frame.
         """
         last = self._counted_frame
         if last is None:
@@ -344,7 +344,7 @@ class Uplink:
         self._apportioned = self._apportioned.sent(size_bytes)
 
     def finish(self) -> None:
-        """Stops sending; what leaves a virtual link within the last frame still does."""
+        """Stops sending; what leaves a virtual link within the last frame is still sent."""
         if self._outbox is not None:
             self._outbox.close()
         if self._in_flight is not None:
@@ -358,7 +358,7 @@ class Uplink:
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """What is recorded of a message; `made_ns` is when encoding or detection ended."""
+    """The record of a sent message; `made_ns` is when encoding or detection ended."""
 
     topic: str
     chunk: int

@@ -1,8 +1,8 @@
-"""Upload filters: where beams end on the map, and which of them hit foreground.
+"""Upload filters: foreground segmentation by road map, ground height and learnt background.
 
-A sensor that drives removes what the road map says is ground, corrected tile by tile by the height
-at which most of its low points lie, and what is off the road. A stationary sensor also learns how
-far each of its beams goes when nothing is in its way: the farthest range that came back again and
+A sensor that drives removes what is ground by the road map, corrected tile by tile by the height at
+which most of its low points lie, and what is off the road. A stationary sensor also learns how far
+each of its beams goes when nothing is in its way: the farthest range that came back again and
 again, unless it ended high over the road, for nothing static stands there. That is far sharper than
 a height: it leaves a car its wheels, and knows poles and house fronts.
 """

@@ -1,4 +1,4 @@
-"""Rain and fog: how much light they take from a beam, and the points that they return themselves.
+"""Rain and fog: attenuation of LiDAR beams, and the points that drops return (backscatter).
 
 Rain drops are distributed as Marshall and Palmer (1948) measured: N(D) = 8000 exp(-4.1 R^-0.21 D)
 per m^3 and mm of diameter D, mm, at R mm/h. Drops are large against the wavelength: each takes
@@ -158,7 +158,7 @@ def add_backscatter(
     """Adds the air's points to beams (N,) that nothing returned, this side of what they hit.
 
     The last bits of the draw decide: the first ones have decided whether the beam returned. The
-    noise (N,), normal, tells how large a drop is: diameters fall off exponentially.
+    noise (N,), normal, determines a drop's size: diameters fall off exponentially.
     """
     for n in range(distance_m.size):
         if range_m[n] > 0:

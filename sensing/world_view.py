@@ -1,4 +1,4 @@
-"""What an agent process knows of the world in a frame: the bodies around its agents, by tiles."""
+"""World view of an agent process: the bodies around its agents in a frame, by map tiles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from protocol.tiles import Tile, joined, tile_name, tiles_within
 from sensing.pose import driven
 
 AHEAD_M = 50.0
-"""Tiles are subscribed to so much before an agent needs them, and kept for twice that."""
+"""Margin, m: tiles are subscribed to this much before an agent needs them, kept for twice that."""
 _ASK_AGAIN_NS = 200_000_000
 
 
@@ -45,7 +45,7 @@ class WorldView:
         """Returns the view with all bodies a little later, or earlier, each straight ahead.
 
         To first order: nothing turns or changes its speed within the few ms of a clock's error.
-        Frame and time stay what an agent takes them for.
+        Frame and time stay those that the agent assumes.
         """
         if by_s == 0.0:
             return self
@@ -62,7 +62,7 @@ class WorldView:
 class Surroundings:
     """Follows the tiles that the LiDARs of a process reach, as its agents drive and change.
 
-    A tile that a process did not subscribe to in time, or whose message was lost, is asked for.
+    A tile that a process did not subscribe to in time, or whose message was lost, is requested.
     """
 
     def __init__(self, bus: Bus, process: str, reach_m: float) -> None:
@@ -90,7 +90,7 @@ class Surroundings:
             self._known[tile] = bodies
 
     def begin(self, tick: Tick) -> None:
-        """Begins a frame: what is needed for it follows from who plays whom, and where."""
+        """Begins a frame: the needed tiles follow from where the process's agents are."""
         mine = np.zeros(0, np.int64)
         if self._process in tick.processes:
             mine = np.flatnonzero(tick.hosts == tick.processes.index(self._process))
@@ -103,7 +103,7 @@ class Surroundings:
         self._asked_ns = 0
 
     def is_complete(self) -> bool:
-        """Whether all tiles of the frame are here; asks for those that are not, again and again."""
+        """Whether all tiles of the frame have arrived; requests missing ones repeatedly."""
         missing = [tile for tile, since in self._needed.items() if not self._has(tile, since)]
         now_ns = time.monotonic_ns()
         if missing and now_ns - self._asked_ns > _ASK_AGAIN_NS:

@@ -1,4 +1,4 @@
-"""What a signal policy is given: the place once, an observation each frame."""
+"""Input of a signal policy: the signal and its roads once, an observation each frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LIDAR = "lidar"  # the source of a detection that is no agent's own, see `Detec
 
 @dataclass(frozen=True, slots=True)
 class CabinetTimes:
-    """What the signal's cabinet keeps between greens, whatever is requested."""
+    """Times that the signal's cabinet enforces, whatever is requested."""
 
     min_green_s: float = 5.0
     yellow_s: float = 4.0
@@ -33,7 +33,7 @@ class CabinetTimes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalSite:
-    """The signal that a policy controls, the roads around it, and the limits of what is known.
+    """The signal that a policy controls, the roads around it, and its cabinet's times.
 
     `road_map` holds the signal's intersection. Vehicles count `upstream_m` before the stop bars.
     """
@@ -53,10 +53,10 @@ class SignalSite:
 class LaneVehicles:
     """Vehicles (N,) on lanes.
 
-    `distances_m` is the way of the front bumper to the stop bar, negative behind it, as in
-    `Detections`; `speeds_mps` is NaN where it is unknown. Ids are empty strings where nothing tells
-    who is who; then `places_m` (N, 2), x and y in the map frame, let `VehicleAssociation` do so.
-    `agents` names those that have reported themselves in this frame, with empty strings for others.
+    `distances_m` is the distance of the front bumper to the stop bar, negative behind it, as in
+    `Detections`; `speeds_mps` is NaN where it is unknown. Ids are empty strings without tracking;
+    then `VehicleAssociation` uses `places_m` (N, 2), x and y in the map frame. `agents` names those
+    that have reported themselves in this frame, with empty strings for others.
     """
 
     lanes: list[str]
@@ -81,7 +81,7 @@ class LaneVehicles:
 
     @classmethod
     def of(cls, detections: Detections) -> Self:
-        """Takes all detections on lanes but people, in the detections' order."""
+        """Selects all detections on lanes but people, in the detections' order."""
         keep = [
             index
             for index, (lane, kind) in enumerate(
@@ -108,13 +108,12 @@ class LaneVehicles:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """What is known of a frame at a signal.
+    """Observation of one frame at a signal.
 
     Attributes:
         counts: vehicles by lane, with the covered share of each lane.
         shown: what the signal shows at the time of the counts; None before its first state.
-        vehicles: single vehicles on the lanes of the signal's region; None where there are none
-            to be had.
+        vehicles: single vehicles on the lanes of the signal's region; None if not available.
     """
 
     counts: LaneCounts
@@ -129,7 +128,7 @@ _MAX_GAP_S = 2.0
 
 
 class VehicleAssociation:
-    """Tells from frame to frame which vehicle is which, by places alone, where nothing tracks.
+    """Associates vehicles from frame to frame by position alone, where nothing tracks.
 
     The nearest pair of a prediction and a vehicle is the same vehicle, then the next nearest.
     """

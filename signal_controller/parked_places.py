@@ -1,7 +1,7 @@
-"""Places where something stands that no green moves: cars parked beside the lane, and ghosts.
+"""Places of parked cars and ghosts: stationary objects on a lane that no green discharges.
 
-A parked car that is seen a little in the lane loses its track whenever somebody passes, and gets
-another one. What is remembered is therefore the place.
+A parked car that is partly in the lane loses its track whenever another vehicle passes, and gets a
+new one. Therefore the place is kept, not the track.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _FORGOTTEN_S = 300.0  # after which a place in which nobody stands is one no mor
 
 @dataclass(slots=True)
 class _Place:
-    """Where on a lane, when somebody last stood there, and how many signs speak for it."""
+    """Position on a lane, when a vehicle last stood there, and the number of signs for parking."""
 
     distance_m: float
     seen_s: float
@@ -29,7 +29,7 @@ class ParkedPlaces:
     _places: dict[str, list[_Place]] = field(default_factory=dict)
 
     def note_sign(self, lane: str, distance_m: float, time_s: float) -> None:
-        """Takes a sign that who stands there is parked: others passed, or it did not go."""
+        """Adds a sign that a vehicle there is parked: others passed, or it did not go."""
         place = self._at(lane, distance_m)
         if place is None:
             self._places.setdefault(lane, []).append(_Place(distance_m, time_s))
@@ -37,7 +37,7 @@ class ParkedPlaces:
             place.signs, place.seen_s = min(place.signs + 1, _MOST_SIGNS), time_s
 
     def note_standing(self, lane: str, distance_m: float, time_s: float) -> bool:
-        """Notes that somebody stands there; returns whether it is such a place."""
+        """Registers a stationary vehicle; returns whether it is in a parked place."""
         place = self._at(lane, distance_m)
         if place is None:
             return False
@@ -45,7 +45,7 @@ class ParkedPlaces:
         return True
 
     def disprove(self, lane: str, distance_m: float) -> None:
-        """Takes that somebody who stood there has driven off."""
+        """Removes a place whose vehicle has driven off."""
         place = self._at(lane, distance_m)
         if place is not None:
             place.signs -= 1
@@ -53,7 +53,7 @@ class ParkedPlaces:
                 self._places[lane].remove(place)
 
     def forget(self, time_s: float) -> None:
-        """Drops the places in which nobody has stood for long."""
+        """Drops the places in which no vehicle has stood for long."""
         for lane, places in self._places.items():
             kept = [place for place in places if time_s - place.seen_s < _FORGOTTEN_S]
             self._places[lane] = kept

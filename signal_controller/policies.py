@@ -1,4 +1,4 @@
-"""Signal policies: from counts and time to the green state to ask for.
+"""Signal policies: from counts and time to the requested green state.
 
 The entry point of a plug-in (group `cpnet.signal_policies`) names a `PolicyMaker`.
 """
@@ -32,8 +32,9 @@ Unseen = Literal["alike", "empty"]
 class Decision:
     """A green state, one character per link, and the pressure of each of the signal's phases.
 
-    `policy` is what decided; `unknown` are lanes whose vehicles were estimated, not counted.
-    `advice` has speeds in m/s by agent, None where earlier advice ends; see `speed_advice`.
+    `policy` is the one that decided; `unknown` are lanes whose vehicles were estimated, not
+    counted. `advice` has speeds in m/s by agent, None where earlier advice ends; see
+    `speed_advice`.
     """
 
     state: str
@@ -96,8 +97,8 @@ def pressure(
 
     A lane counts once, however many exits it has; behind it counts the mean over the exits that
     this phase opens to it. A lane without a count has none. A permitted green (`g`) opens nothing
-    where another phase gives right of way: who waits for a gap would hold the phase that cannot
-    discharge him, until nobody moves.
+    where another phase gives right of way: vehicles that wait for a gap would hold the phase that
+    cannot discharge them, a gridlock.
     """
     exits: dict[str, list[str]] = {}
     greens = signal.greens
@@ -189,7 +190,7 @@ class MaxPressure:
 
 
 class HeldGreens:
-    """Asks a policy again only once a green has lasted: what switches less often loses less."""
+    """Holds each green for a least time before it asks the policy again: fewer lost times."""
 
     def __init__(self, policy: SignalPolicy, hold_s: float) -> None:
         self._policy = policy
@@ -212,7 +213,7 @@ class HeldGreens:
 
 
 class Predictive:
-    """The predictive planner, which estimates what no sensor covers.
+    """The predictive planner, with estimates for lanes that no sensor covers.
 
     When nothing has been known of any lane for `estimator_timeout_s`, it requests the fixed plan.
     """

@@ -1,4 +1,4 @@
-"""Predictive control: a plan over a rolling horizon, from where single vehicles are.
+"""Predictive signal control: a plan over a rolling horizon, from positions of single vehicles.
 
 Each frame, vehicles become expected arrivals at the stop bars, `predictive_search` finds the phases
 and durations of least cost, and the first of them is requested. In the spirit of COP (Sen and Head
@@ -28,19 +28,19 @@ from signal_controller.queue_estimator import uncovered_lanes
 from signal_controller.queue_filter import QueueFilter
 
 MAX_VEHICLES = 1000
-"""Vehicles that one decision looks at: the nearest."""
-_SOON_STEPS = 10  # a change that is planned within these is tried at once, see `_planned`
+"""Vehicles that one decision considers: the nearest."""
+_SOON_STEPS = 10  # a change that is planned within these is tried immediately, see `_planned`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedVehicles:
-    """Vehicles (N,) before the stop bars, none of them parked, as if nothing held them.
+    """Vehicles (N,) before the stop bars with free-flow arrival times; none is parked.
 
     Attributes:
         rows: which of the `LaneVehicles` they are.
         lanes: that they are on.
         distances_m: to their stop bars.
-        arrival_s: from now until they are there.
+        arrival_s: from now until they are at the stop bar.
         shares: (N, L) probability of each stop bar.
     """
 
@@ -53,7 +53,7 @@ class ExpectedVehicles:
 
 @dataclass(frozen=True, slots=True)
 class PlannerSettings:
-    """How far and how long the planner searches, and what it must not do.
+    """Settings of the planner: horizon, search effort and constraints.
 
     Attributes:
         horizon_s: how far a plan reaches.
@@ -118,7 +118,7 @@ class PredictivePlanner:
             self._green_since_s = shown.green, time_s
         left_s = shown.earliest_change_ns / 1e9 - time_s
         least_s = model.min_green_steps[phase] * STEP_S
-        if least_s > model.site.cabinet.min_green_s:  # people walk: the cabinet knows nothing of it
+        if least_s > model.site.cabinet.min_green_s:  # people walk: the cabinet does not enforce it
             left_s = max(left_s, self._green_since_s[1] + least_s - time_s)
         if left_s > 1e-6:
             return model.phases[phase]
@@ -134,9 +134,9 @@ class PredictivePlanner:
     def _planned(self, problem: Problem, forced: int | None) -> Plan:
         """Returns the best plan found.
 
-        Where lanes are not seen, arrivals are as likely at any time, and a change that comes soon
-        could as well come a little later, each time anew. So there it is looked for by itself
-        whether to change at once is no worse: the search keeps few of the plans that do.
+        Where lanes are not seen, arrivals are equally likely at any time, and a change that is
+        planned soon could be postponed again and again. So an immediate change is tested
+        separately, and chosen if it is no worse: the search keeps few of the plans that do.
         """
         prices, max_nodes = self._settings.prices, self._settings.max_nodes
         plan = search(problem, prices, max_nodes, forced)
@@ -174,7 +174,7 @@ class PredictivePlanner:
         return phases[first:], now - first + 1
 
     def problem(self, time_s: float, arrivals: Floats, phase: int) -> Problem:
-        """Returns what is known at a time at which a phase is shown; see `arrivals`."""
+        """Returns the search problem at a time at which a phase is shown; see `arrivals`."""
         model, memory = self.model, self.memory
         may = memory.shares * memory.has_room
         status = model.pair_status
@@ -202,7 +202,8 @@ class PredictivePlanner:
     def arrivals(self, vehicles: LaneVehicles) -> Floats:
         """Returns (L, T): vehicles expected at each stop bar in each step.
 
-        Those that queue unseen stand at the stop bar; from where nobody is seen, others may come.
+        Those that queue unseen stand at the stop bar; others may arrive from where no sensor
+        covers.
         """
         expected = self.expected(vehicles)
         result = np.zeros((len(self.model.lanes), self.steps))
@@ -212,11 +213,11 @@ class PredictivePlanner:
 
     @property
     def steps(self) -> int:
-        """How far a plan reaches."""
+        """Horizon of a plan, in steps."""
         return round(self._settings.horizon_s / STEP_S)
 
     def expected(self, vehicles: LaneVehicles) -> ExpectedVehicles:
-        """Returns the vehicles before the stop bars with when they would be there."""
+        """Returns the vehicles before the stop bars with their arrival times."""
         model, memory = self.model, self.memory
         upstream, parked = model.approaches.upstream, memory.parked
         rows = [
@@ -255,7 +256,7 @@ class PredictivePlanner:
         result += (at_s >= seen_s[:, None]) * unknown_per_s * STEP_S
 
     def _overdue_phase(self, time_s: float, phase: int) -> int | None:
-        """Returns the phase that must come next because somebody has waited too long."""
+        """Returns the phase that must come next because a vehicle has waited too long."""
         model, memory = self.model, self.memory
         waited_s = time_s - memory.served_s
         longest = int(np.argmax(waited_s))

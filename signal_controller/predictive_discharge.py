@@ -1,4 +1,4 @@
-"""How queues discharge while phases are shown: the model behind the search for a plan.
+"""Queue discharge model of the search: how queues discharge while phases are shown.
 
 Queues are expectations: vehicles by lane, in steps of a second, with a fractional vehicle where
 turns or arrivals are uncertain.
@@ -23,7 +23,7 @@ _FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What is known at the time of planning; R = P + P * P + 1 rows as `pair_status`.
+    """Input of the search at the time of planning; R = P + P * P + 1 rows as `pair_status`.
 
     Attributes:
         arrivals: (L, T) vehicles that reach the stop bar in each step if nothing holds them.
@@ -33,7 +33,7 @@ class Problem:
         inside: (L,) vehicles of a lane that wait for a gap behind its stop bar and block it.
         headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
         begin: (L,) step from which on a lane discharges, in what is shown now.
-        foe_shares: (P, L, F) share of the vehicles of `foes` that are in a lane's way.
+        foe_shares: (P, L, F) share of the vehicles of `foes` that conflict with a lane.
         foes, change_steps, min_green_steps: of `JunctionModel`.
         phase: that is shown, or that the present change leads to.
         before: row of what is green during the rest of the present change.
@@ -62,7 +62,7 @@ class Problem:
 def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:
     """Returns how many vehicles have passed each stop bar by the end of each step (L, T).
 
-    Lanes discharge as in the search, except that who stands first is taken to want what his lane
+    Lanes discharge as in the search, except that the first vehicle is assumed to want what its lane
     may do.
 
     Args:
@@ -132,8 +132,8 @@ def _gap_headway_s(
 ) -> float:
     """Returns the headway of a lane's permitted turns, by gap acceptance.
 
-    With the probability that nobody is in the way for a critical gap they follow each other, as in
-    the Highway Capacity Manual's model of permitted left turns.
+    With the probability that no conflicting vehicle comes for a critical gap they follow each
+    other, as in the Highway Capacity Manual's model of permitted left turns.
     """
     free, steps = 1.0, arrivals.shape[1]
     for index in range(foes.shape[2]):
@@ -230,7 +230,7 @@ def turn_head(
         since = last_open[lane]
         share = protected[new, lane] + permitted[new, lane]
         if share <= 0.0:
-            continue  # whom the last open phase held up is still there in the next one
+            continue  # a vehicle that the last open phase held up is still there in the next one
         if since < 0:
             fresh[lane] = head[new, lane]
             continue

@@ -1,6 +1,6 @@
-"""A signal as the predictive policy sees it: movements by lane, phases, and what conflicts.
+"""Signal model of predictive control: movements by lane, phases, conflicts.
 
-A movement is what leads from one incoming lane to one exit edge, over however many links.
+A movement leads from one incoming lane to one exit edge, over one or more links.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SPEED_MPS = 13.9  # of a lane that the map lacks
 
 @dataclass(frozen=True, slots=True)
 class Movement:
-    """What leads from an incoming lane (its index) to the lanes of one exit edge."""
+    """A movement from an incoming lane (its index) to the lanes of one exit edge."""
 
     lane: int
     exit_edge: str
@@ -37,7 +37,7 @@ class Movement:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """From a lane's end to the stop bar, at the speeds allowed, and the lane's own speed."""
+    """Travel time from a lane's end to the stop bar at the speeds allowed, and the lane's speed."""
 
     end_m: float
     end_s: float
@@ -127,7 +127,7 @@ class JunctionModel:
         return reach_m, self.free_flow_s(farthest, reach_m)
 
     def foe_shares(self, shares: Floats) -> Floats:
-        """Returns the share (P, L, F) of the vehicles of `foes` that are in a lane's way.
+        """Returns the share (P, L, F) of the vehicles of `foes` that conflict with a lane.
 
         Args:
             shares: (M,) of each movement among the vehicles of its lane.
@@ -150,7 +150,7 @@ class JunctionModel:
         return found
 
     def _foes(self) -> Ints:
-        """Returns the lanes (P, L, F) of the movements that are in a lane's way."""
+        """Returns the lanes (P, L, F) of the movements that conflict with a lane."""
         is_foe = (self._in_the_way @ self.lane_of) > 0
         most = max(1, int(is_foe.sum(axis=2).max(initial=0)))
         first = np.argsort(~is_foe, axis=2, kind="stable")[:, :, :most]

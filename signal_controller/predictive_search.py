@@ -25,7 +25,7 @@ _BUSIEST = 0.8  # of what a lane can discharge: more does not come in the long r
 
 @dataclass(frozen=True, slots=True)
 class Prices:
-    """What else than delay a plan costs, in vehicle-seconds.
+    """Costs of a plan besides delay, in vehicle-seconds.
 
     Attributes:
         stop: of a vehicle that has to stop.
@@ -104,11 +104,11 @@ def _left(
     closed_s: float,
     green_s: Floats,
 ) -> float:
-    """Estimates what the vehicles that are still there at a step will cost, themselves and others.
+    """Estimates the cost of the remaining queues at a step (cost to go), for themselves and others.
 
-    They wait for their green and for each other, and the green that they need holds up those who
-    come on other lanes meanwhile (`_held_up`). Without the latter, a queue whose green costs others
-    more than it saves before the plan ends would be put off from plan to plan.
+    They wait for their green and for each other, and the green that they need delays vehicles that
+    arrive on other lanes meanwhile (`_held_up`). Without the latter, a queue whose green costs
+    others more than it saves before the plan ends would be put off from plan to plan.
 
     Args:
         queue: vehicles of each lane (L,); `fresh` and `begin` (L,) are as of `run`.
@@ -118,7 +118,7 @@ def _left(
         row: see `step`.
         protected: see `step`.
         permitted: see `step`.
-        left_s: that who is not served waits for his green.
+        left_s: that a vehicle without green waits for it.
         drain_s: seconds of each vehicle (L,), see `_drain_s`.
         served_in: the phase that serves a lane (L,), -1 for none.
         held_per_s: vehicles that a second of a phase holds up (P,).

@@ -1,4 +1,4 @@
-"""What the predictive policy learns from vehicles: turns, headways, arrivals, who waits for what.
+"""Traffic model of predictive control: learns turning shares, headways, arrivals, wishes.
 
 Everything is learnt from the vehicles that are given, by their ids; nothing from a simulator.
 """
@@ -24,7 +24,7 @@ from signal_controller.predictive_model import (
 )
 from signal_controller.tracked_vehicle import STOPPED_MPS, TrackedVehicle
 
-_SLOW_MPS = 2.0  # a parked car's box wanders: who is slower than this may still be one
+_SLOW_MPS = 2.0  # a parked car's box wanders: a slower one may still be parked
 _TURN_PRIOR = 2.0  # vehicles that an unseen share of turns is worth
 _OWN_LANE_PRIOR, _OTHER_LANE_PRIOR = 12.0, 2.0  # the same of the lane that one will stop in
 _RATE_WINDOW_S, _RATE_PRIOR_S = 600.0, 90.0
@@ -33,10 +33,10 @@ _LEARNING = 0.05  # weight of a new sample
 _HEAD_M = 10.0  # a vehicle so near the stop bar is the first
 _REACTION_S = 3.0  # after which a first vehicle that may go has gone
 _START_MPS = 4.0  # how fast the begin of green travels back along a queue
-_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast doubt grows that it wants to
+_PATIENCE_S = {PROTECTED: 1.5, PERMITTED: 15.0}  # how fast its probability to want that falls
 _STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a parked car, a breakdown
 _PARKED = 0.5  # it is taken for parked from such a probability on
-_FORGIVEN_S = 120.0  # in which doubt fades
+_FORGIVEN_S = 120.0  # in which that probability recovers
 _GREENS = (PROTECTED, PERMITTED)
 _ROOM_M = 8.0  # that an exit needs for one more vehicle
 _SHORT_M = 6.0  # on a shorter lane before a stop bar no middle of a vehicle may ever be seen
@@ -113,7 +113,7 @@ class TrafficMemory:
 
     @property
     def parked(self) -> set[str]:
-        """Those that stand, and did not go when they might have: cars beside the lane, ghosts."""
+        """Ids of stationary vehicles that did not go when they could: parked cars, ghosts."""
         return {name for name, track in self._tracks.items() if track.is_parked}
 
     def waiting_inside(self, time_s: float) -> Floats:
@@ -160,7 +160,7 @@ class TrafficMemory:
     def take(
         self, time_s: float, vehicles: LaneVehicles, state: str, unseen: Collection[str] = ()
     ) -> None:
-        """Takes a frame's vehicles, with the state that the signal shows.
+        """Learns from a frame's vehicles, with the state that the signal shows.
 
         On `unseen` lanes before the stop bars there may be others.
         """
@@ -259,7 +259,7 @@ class TrafficMemory:
     def _has_turned_off(self, track: TrackedVehicle) -> bool:
         """Whether a vanished vehicle was at the end of a lane that ends before the stop bars.
 
-        Of one that vanishes on its way nothing is known: a detector loses vehicles, too.
+        One that vanishes earlier may be a missed detection.
         """
         end_m = self._ends_m.get(track.lane)
         if end_m is None or math.isnan(track.speed_mps):
@@ -298,7 +298,7 @@ class TrafficMemory:
             track.parked_at = track.lane, track.distance_m
 
     def _find_parked(self, time_s: float) -> None:
-        """Tells who stands where something is parked; who drives off was not."""
+        """Finds vehicles that stand in parked places; one that drives off was not parked."""
         places = self._parked_places
         places.forget(time_s)
         for track in self._tracks.values():
@@ -324,7 +324,7 @@ class TrafficMemory:
                 return
 
     def _watch_heads(self, time_s: float, passed_s: float, shown: Ints) -> None:
-        """Doubts that a vehicle which does not go wants what it may do."""
+        """Lowers the probability that a first vehicle which does not go wants what it may do."""
         shares = self.shares
         for lane, track in enumerate(self._firsts(time_s)):
             self._heads[lane] = None
@@ -356,10 +356,10 @@ class TrafficMemory:
         return firsts
 
     def _doubt(self, track: TrackedVehicle, lane: int, shown: Ints, passed_s: float) -> None:
-        """Takes that a vehicle stood while it might have gone, if it might.
+        """Updates the wish of a vehicle that stood while it might have gone, if it might.
 
-        Turns that yield wait at the stop bar for a gap: who is seen to stand farther off with
-        nobody before him might have come forward.
+        Turns that yield wait at the stop bar for a gap: a vehicle that stands farther off with none
+        ahead could have come forward.
         """
         assert track.wish is not None
         starts_s = _REACTION_S + max(0.0, track.distance_m) / _START_MPS
@@ -374,14 +374,14 @@ class TrafficMemory:
         track.wish /= track.wish.sum()
 
     def _forgive(self, passed_s: float) -> None:
-        """Lets doubt fade that a vehicle is parked: it may have waited for something unseen."""
+        """Lowers over time the probability that a vehicle is parked: it may have had to wait."""
         for track in self._tracks.values():
             if track.wish is not None and track.wish[-1] > _STUCK_PRIOR:
                 track.wish[-1] += passed_s / _FORGIVEN_S * (_STUCK_PRIOR - track.wish[-1])
                 track.wish /= track.wish.sum()
 
     def _note_service(self, time_s: float, shown: Ints, unseen: Collection[str]) -> None:
-        """Notes which movements had their chance: nobody waits, or a green long enough."""
+        """Notes which movements were served: no vehicle waits, or the green was long enough."""
         min_green_s = self._model.site.cabinet.min_green_s
         for index, movement in enumerate(self._model.movements):
             lane = movement.lane
@@ -423,9 +423,10 @@ def _lane_ends(model: JunctionModel) -> dict[str, float]:
 
 
 def _bars(model: JunctionModel, ends_m: dict[str, float]) -> dict[str, int]:
-    """Returns the lane, by index, whose stop bar comes next for those on each lane at one.
+    """Returns, for each lane that ends near a stop bar, the index of that stop bar's lane.
 
-    So close before a stop bar that nobody need be seen on a short lane between count as at it.
+    A lane counts if it ends so close to a stop bar that vehicles on the short lane between may be
+    missed.
     """
     upstream, index_of = model.approaches.upstream, model.lane_index
     close = [lane for lane, end_m in ends_m.items() if end_m < _SHORT_M]

@@ -13,7 +13,7 @@ from signal_controller.config import SignalConfig
 Weight = Literal["vehicles", "pcu", "queued"]
 Lanes = Mapping[str, float]
 
-MIN_COVERAGE = 0.25  # of a lane's counted part: less says too little of the rest
+MIN_COVERAGE = 0.25  # of a lane's counted part: less is not representative
 SPACING_M = 7.0  # from one stationary vehicle to the next: a lane holds no more
 
 
@@ -45,7 +45,7 @@ def extrapolated(counts: Lanes, seen: Mapping[str, float]) -> Lanes:
 
 @dataclass(frozen=True, slots=True)
 class QueueEstimate:
-    """Vehicles on the lanes that no sensor covers; `is_blind` once no estimate is worth much."""
+    """Vehicles on the lanes that no sensor covers; `is_blind` once no estimate is reliable."""
 
     vehicles: dict[str, float]
     is_blind: bool
@@ -64,9 +64,9 @@ class QueueEstimator:
 
     In simulated time the number grows by the inflow and, while a link of the lane is green, shrinks
     by the saturation flow. It stays between 0, or the count of vehicles that report themselves, and
-    what the counted part of the lane holds. A lane that was never covered starts empty. It goes
-    on however long a lane is uncovered, so that none starves while others are covered; only when
-    no lane was covered for `estimator_timeout_s` is it worth nothing.
+    what the counted part of the lane holds. A lane that was never covered starts empty. It goes on
+    however long a lane is uncovered, so that none starves while others are covered; only when no
+    lane was covered for `estimator_timeout_s` is it invalid.
     """
 
     def __init__(self, signal: Signal, config: SignalConfig, upstream_m: float) -> None:
@@ -80,7 +80,7 @@ class QueueEstimator:
         self._time_ns: int | None = None
 
     def take(self, counts: LaneCounts, shown: SignalState | None) -> QueueEstimate:
-        """Takes a frame's counts, with the signal state of that time as the clock; once a frame."""
+        """Updates by a frame's counts, with the signal state of that time as the clock."""
         passed_ns = self._passed_ns(shown)
         before, _ = weighted_counts(counts, self._config.weight)
         uncovered = set(uncovered_lanes(self._lanes, counts.coverage_upstream))

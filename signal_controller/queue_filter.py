@@ -1,16 +1,17 @@
-"""Queues that nobody sees whole: a histogram filter over a point queue with Poisson arrivals.
+"""Queue filter for partly observed lanes: histogram filter, point queue, Poisson arrivals.
 
 For each lane before a stop bar it holds the joint probability of the arrival rate and of the number
 of vehicles that queue: those that have stood and have not passed the stop bar. Unseen vehicles
-arrive as a Poisson process and leave one by one while the lane is green. What is seen corrects it,
-after Comert and Cetin (2009): who stops joins at the end of the queue, so that his distance tells
-how many stand before him; who passes the stop bar has nobody of them before him any more; who still
-drives is behind the last one. So a few vehicles that report themselves tell of all others.
+arrive as a Poisson process and leave one by one while the lane is green. Observations correct it,
+after Comert and Cetin (2009): a vehicle that stops joins the end of the queue, so that its distance
+shows how many stand ahead; one that passes the stop bar has none of them ahead any more; one that
+still drives is behind the last one. So a few vehicles that report themselves are evidence of all
+others.
 
 Which share of all vehicles reports itself is unknown, too, and the same on all lanes: there is such
-a filter for each of some shares, and the share is as probable as it has foretold what came (a
-bank of filters, Magill 1965). Few reports could be of few vehicles or of many: how many came and
-where they stopped tell together, and on lanes that are seen, who reports himself.
+a filter for each of some shares, weighted by how well it predicted the observations (a bank of
+filters, Magill 1965). Few reports could be of few vehicles or of many: their number and where they
+stopped decide together, and on lanes that are seen, the share that reports itself.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ from signal_controller.predictive_model import Bools, Floats, Ints, JunctionMode
 from signal_controller.queue_estimator import MIN_COVERAGE, SPACING_M
 from signal_controller.tracked_vehicle import STOPPED_MPS
 
-_FREE_MPS = 5.0  # who drives so fast does not stand in the queue
+_FREE_MPS = 5.0  # a vehicle that drives so fast does not stand in the queue
 _RATE_FACTORS = np.array([0.1, 0.25, 0.5, 0.75, 1.0, 1.5, 2.2, 3.0])  # of the expected inflow
-_LEAST_INFLOW_VPH = 1.0  # who expects nobody could not learn
+_LEAST_INFLOW_VPH = 1.0  # with none expected it could not learn
 _RATE_MEMORY_S = 300.0  # after which a rate may have become that of another lane
 _ANY_RATE = 0.05  # probability that it has become any
 _RATE_SPREAD = 0.7  # of the logarithm of a rate of which nothing is known but what is expected
@@ -42,7 +43,7 @@ _REPORTING_MEMORY_S = 7200.0  # after which the share may have become another
 _PLACE_M, _PLACE_SHARE = 3.0, 0.08  # how far off its place in the queue one stands, by distance
 _MISTAKE = 1e-3  # likelihood of what cannot be: places are not exact, lanes are changed
 _LOST_AFTER_S = 2.0
-_HEAD_M = 10.0  # who vanishes so near the stop bar has passed it
+_HEAD_M = 10.0  # a vehicle that vanishes so near the stop bar has passed it
 _WHOLE = 0.9  # of a lane: what is seen of it is all
 _HIDDEN_M = 20.0  # before the end of what is seen, vehicles are often hidden by those before them
 _INSIDE = 0.9  # of the probability, in the interval
@@ -64,7 +65,7 @@ class _Seen:
     Attributes:
         due_s: of one that has stood, when it would have been at the stop bar if nothing held it.
         reports: it has reported itself.
-        is_counted: its arrival has told of the rate.
+        is_counted: its arrival has updated the rate.
         ends_m: it drives, so that no queue reaches back to this distance.
     """
 
@@ -134,7 +135,7 @@ class QueueFilter:
 
     @property
     def blind_s(self) -> float:
-        """Since when no lane has been seen and nobody has reported himself."""
+        """For how long no lane has been seen and no vehicle has reported itself."""
         return self._unseen_s
 
     def queued(self) -> Floats:
@@ -145,7 +146,7 @@ class QueueFilter:
         return found
 
     def queue(self, lane: int) -> LaneQueue:
-        """Returns what is known of a lane's queue."""
+        """Returns the estimate of a lane's queue."""
         numbers = self._reporting_weights @ self._joint[:, lane].sum(axis=1)
         return LaneQueue(float(numbers @ self._numbers), *shortest_interval(numbers))
 
@@ -161,7 +162,7 @@ class QueueFilter:
         coverage: Mapping[str, float],
         parked: Collection[str] = (),
     ) -> None:
-        """Takes a frame.
+        """Updates by a frame.
 
         Args:
             time_s: of the frame.
@@ -191,7 +192,7 @@ class QueueFilter:
         self._green_s = np.where(flow > 0, self._green_s + passed_s, 0.0)
         leave = np.where(self._green_s > _LOST_S, flow * self._saturation_per_s * passed_s, 0.0)
         leave = np.minimum(1.0, leave)
-        # Nobody came of whom one would know, else he is counted in `_follow`.
+        # No vehicle arrived that would be known, else it is counted in `_follow`.
         known = np.where(self.is_seen, 1.0, _REPORTING[:, None])
         totals = _advance(
             self._joint, self._rates_per_s, _REPORTING, known, leave, self._most, passed_s
@@ -203,9 +204,9 @@ class QueueFilter:
         )
 
     def _change_rates(self, probability: float) -> None:
-        """Lets rates become others: those that the signal's lanes have, or any.
+        """Lets rates change over time: to those of the signal's other lanes, or to any.
 
-        So lanes of which little is known are taken to be like the others.
+        So lanes of which little is known are assumed to be like the others.
         """
         of_lanes = self._joint.sum(axis=3).mean(axis=1)
         pooled = (1 - _ANY_RATE) * of_lanes + _ANY_RATE / len(_RATE_FACTORS)
@@ -217,8 +218,8 @@ class QueueFilter:
     ) -> None:
         """Follows each vehicle from where it is first known until it passes the stop bar.
 
-        The nearest come first: who stops behind them stops later. Where it does not `goes_on` from
-        the frame before, who is there has come some time ago.
+        The nearest come first: one that stops behind them stops later. Unless the frame `goes_on`
+        from the one before, vehicles that are there have come some time ago.
         """
         upstream, index_of = self._model.approaches.upstream, self._model.lane_index
         gone = []
@@ -247,7 +248,7 @@ class QueueFilter:
                 self._leave(one, time_s, tells=vehicles.agents is not None)
 
     def _leave(self, one: _Seen, time_s: float, *, tells: bool) -> None:
-        """Takes that a vehicle passed the stop bar; `tells`: it is known who reports himself."""
+        """Updates for a vehicle that passed the stop bar; `tells`: its reporting is known."""
         if not self.is_seen[one.lane]:
             self._pass(one, time_s)
         elif not one.is_counted:
@@ -255,13 +256,13 @@ class QueueFilter:
             self._count(one, reporting if tells else np.ones(len(_REPORTING)))
 
     def _count(self, one: _Seen, likelihood: Floats) -> None:
-        """Takes that a vehicle has come, so likely by the share (S,) that reports itself."""
+        """Updates for an arrival, with its likelihood by the share (S,) that reports itself."""
         one.is_counted = True
         self._weigh(one.lane, self._rates_per_s[:, None])
         self._weigh_reporting(likelihood)
 
     def _not_behind(self, one: _Seen) -> None:
-        """Takes that a vehicle still drives: the queue ends before it."""
+        """Updates for a vehicle that still drives: the queue ends before it."""
         if self.is_seen[one.lane] or one.distance_m > one.ends_m - SPACING_M:
             return
         tails_m = self._numbers * SPACING_M - _PLACE_M
@@ -270,7 +271,7 @@ class QueueFilter:
         self._weigh(one.lane, np.where(is_behind, _MISTAKE, 1.0))
 
     def _join(self, one: _Seen) -> None:
-        """Takes that a vehicle stopped: as many stand before it as fit between it and the bar."""
+        """Updates for a vehicle that stopped: as many stand before it as fit up to the stop bar."""
         lane = one.lane
         if self.is_seen[lane]:
             return
@@ -284,7 +285,7 @@ class QueueFilter:
         joint[..., -1] += longest
 
     def _weigh(self, lane: int, likelihood: Floats) -> None:
-        """Corrects a lane by what was seen; a likelihood of at least `_MISTAKE` somewhere."""
+        """Corrects a lane by a likelihood, which is at least `_MISTAKE` somewhere."""
         joint = self._joint[:, lane] * likelihood
         totals = joint.sum(axis=(1, 2))
         self._joint[:, lane] = joint / totals[:, None, None]
@@ -297,7 +298,7 @@ class QueueFilter:
         self._reporting_weights /= self._reporting_weights.sum()
 
     def _pass(self, one: _Seen, time_s: float) -> None:
-        """Takes that a vehicle passed the stop bar: only who came after it can be there still."""
+        """Updates for a vehicle that passed the stop bar: only later arrivals can still queue."""
         lane = one.lane
         weights = self._joint[:, lane].sum(axis=2)
         behind = sum(other.lane == lane and other.queues for other in self._seen.values())
@@ -311,7 +312,7 @@ class QueueFilter:
         self._joint[:, lane] = weights[..., None] * chance / chance.sum(axis=2, keepdims=True)
 
     def _note_seen(self) -> None:
-        """Takes the queues that are seen; a queue that fills what is seen may be longer."""
+        """Updates by the observed queues; one that fills the covered part may be longer."""
         if not self.is_seen.any():
             return
         queued = self.queued()
@@ -348,7 +349,7 @@ def _advance(
     most: Ints,
     passed_s: float,
 ) -> Floats:
-    """Lets unseen vehicles leave (L,) and come, and nobody come of those that would be known.
+    """Lets unseen vehicles leave (L,) and arrive, and no vehicle arrive that would be known.
 
     Returns the probability (S, L) of the latter; joint (S, L, R, N) is changed in place, and its
     sum over R and N is 1 again.

@@ -24,7 +24,7 @@ from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import Decision, SignalPolicy, policy_of
 
-MAX_KEPT = 8  # counts and states that wait for each other: limits what others may send
+MAX_KEPT = 8  # counts and states that wait for each other: bounds received data
 Kept = TypeVar("Kept", LaneCounts, SignalState, "FrameVehicles")
 
 
@@ -62,7 +62,7 @@ class SignalDecider:
         self._drops = drops
 
     def take_counts(self, counts: LaneCounts) -> None:
-        """Takes counts, unless those of a later frame were decided on."""
+        """Stores counts, unless those of a later frame were decided on."""
         if counts.frame <= self._decided:
             self._drops["late"] += 1
         elif self._is_near(counts.frame):
@@ -70,14 +70,14 @@ class SignalDecider:
             self._bound(self._counts)
 
     def take_state(self, shown: SignalState) -> None:
-        """Takes what the signal shows."""
+        """Stores the signal's state."""
         self._horizon.follow(shown.frame)
         if self._is_near(shown.frame):
             self._shown[shown.frame] = shown
             self._bound(self._shown)
 
     def take_vehicles(self, vehicles: FrameVehicles) -> None:
-        """Takes a frame's vehicles, unless a later frame was decided on."""
+        """Stores a frame's vehicles, unless a later frame was decided on."""
         if vehicles.frame <= self._decided:
             self._drops["late"] += 1
         elif self._is_near(vehicles.frame):
@@ -184,7 +184,7 @@ class SignalRole:
         return role
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes counts, vehicles or a signal's state; ignores what is older than the newest."""
+        """Handles counts, vehicles or a signal's state; ignores those older than the newest."""
         if isinstance(item, Presence):
             return
         message = item.message
@@ -209,7 +209,7 @@ class SignalRole:
             decider.take_vehicles(vehicles)
 
     def poll(self) -> None:
-        """Decides as soon as counts and state of a frame are there; metrics tell of each frame."""
+        """Decides once counts and state of a frame arrived; publishes metrics of each frame."""
         frames: dict[int, tuple[LaneCounts, list[Span]]] = {}
         for tls, decider in self._deciders.items():
             start_ns = time.monotonic_ns()
@@ -245,7 +245,7 @@ class SignalRole:
         return Span(stage="decide", agent=tls, start_ns=start_ns, end_ns=decided_ns)
 
     def _publish_advice(self, tls: str, counts: LaneCounts, decision: Decision) -> None:
-        """Publishes a speed for each agent; the request says how many there are."""
+        """Publishes a speed for each agent; the request holds their number."""
         for agent, speed_mps in sorted(decision.advice.items()):
             advice = SpeedAdvice(
                 frame=counts.frame,

@@ -1,13 +1,13 @@
-"""Speed advice (GLOSA): how fast to drive to the stop bar so as to pass it without a stop.
+"""Speed advice (GLOSA): the speed at which a vehicle reaches the stop bar at green.
 
 Green Light Optimal Speed Advisory, as in Katsaros, Kernchen, Dianati and Rieck (2011): the time
 until the vehicle may pass gives its speed. That time follows from the phases that the predictive
-policy plans, from how lanes discharge in them, and from who is before the vehicle on its lane.
+policy plans, from how lanes discharge in them, and from the vehicles ahead on its lane.
 
 The times of a plan that rolls on are not kept: a green that is to come in ten seconds is brought
-forward or put off. Whoever drives slowly towards it misses the one or has to stop all the same. So
-what counts is the earliest time: the phases come in the plan's order, each as soon as the cabinet
-lets it, and last as long as needed. As far as the model is right nobody is later by such advice.
+forward or put off. A vehicle that drives slowly towards it misses the one or has to stop all the
+same. So the earliest time counts: the phases come in the plan's order, each as soon as the cabinet
+permits, and last as long as needed. If the model is right, such advice makes no vehicle later.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from signal_controller.predictive import ExpectedVehicles, PredictivePlanner, ad
 from signal_controller.predictive_discharge import Problem, discharged
 from signal_controller.predictive_model import STEP_S, Floats
 
-_LEAST_DELAY_S = 2.0  # who is held up for less passes without a stop
-_SURE = 0.5  # of a vehicle whose stop bar is known so well
+_LEAST_DELAY_S = 2.0  # a vehicle held up for less passes without a stop
+_SURE = 0.5  # probability of a vehicle's stop bar from which it is known
 _EPSILON = 1e-6  # of a vehicle
 
 
@@ -39,7 +39,7 @@ class SpeedAdviser:
     def advise(self, time_s: float, shown: SignalState) -> dict[str, float | None]:
         """Returns speeds in m/s by agent, None for those whose last advice has ended.
 
-        To be called after each request of the planner, with what it was given.
+        To be called after each request of the planner, with its arguments.
         """
         return self._told(self._speeds(time_s, shown))
 
@@ -73,9 +73,9 @@ class SpeedAdviser:
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """When a vehicle is at its stop bar, from now: if no signal holds it up, and at the earliest.
+    """Times of a vehicle at its stop bar, from now: in free flow, and at the earliest.
 
-    `passes_s` is inf where the plan does not tell it, or where the stop bar is not sure.
+    `passes_s` is inf where the plan does not determine it, or where the stop bar is not sure.
     """
 
     distance_m: float
@@ -141,7 +141,7 @@ def passages_of(
 
 
 def _in_line(expected: ExpectedVehicles, lanes: list[int], unseen: Floats) -> tuple[Floats, Floats]:
-    """Returns when vehicles (N,) arrive, none before the one ahead, and how many are before each.
+    """Returns arrival times of vehicles (N,), none before the one ahead, and how many are ahead.
 
     Args:
         expected: the vehicles.

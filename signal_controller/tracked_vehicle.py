@@ -8,15 +8,15 @@ from dataclasses import dataclass, field
 from signal_controller.predictive_model import Floats
 
 STOPPED_MPS = 1.0
-_OVERTAKEN_M = 8.0  # who came from so far behind has driven past; less may be a box that wandered
+_OVERTAKEN_M = 8.0  # one from so far behind has driven past; less may be a box that wandered
 
 
 @dataclass(slots=True)
 class TrackedVehicle:
     """A vehicle as last seen; `passed` is the lane whose stop bar it has crossed.
 
-    `wish` is the probability of what it wants, movements of its stop bar and then nothing, once it
-    was the first. It is on its lane since `since_s`, from `from_m` on, and has stood since
+    `wish` are the probabilities of the movements that it wants, the last that of none, once it was
+    the first. It is on its lane since `since_s`, from `from_m` on, and has stood since
     `stands_since_s`. `parked_at` is the lane and the distance to the stop bar at which it is
     parked, None if it is not.
     """
@@ -37,11 +37,11 @@ class TrackedVehicle:
 
     @property
     def is_parked(self) -> bool:
-        """Whether it stands where something is parked: no queue that a green would discharge."""
+        """Whether it stands in a parked place: it is no queue that a green would discharge."""
         return self.parked_at is not None
 
     def move(self, lane: str, distance_m: float, time_s: float, speed_mps: float) -> None:
-        """Takes where it is seen now."""
+        """Updates its position."""
         stands = speed_mps < STOPPED_MPS
         if lane != self.lane:
             self.wish = None

@@ -1,7 +1,7 @@
-"""Speed advice as vehicles follow it: checked, kept until it is due, obeyed, ended.
+"""Speed advice in the simulation: validated, kept until it is due, obeyed, ended.
 
-The messages come over the network, so each is held against the world: whom it is for, whether he
-is still before that signal, whether one may drive so. A bad one is counted and dropped.
+The messages come over the network, so each is checked against the world: whether the agent exists,
+is still before that signal, and whether the speed is allowed. A bad one is counted and dropped.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _log = logging.getLogger(__name__)
 
 
 class Drivers(Protocol):
-    """Vehicles that obey; see `World`."""
+    """Interface of vehicles that obey; see `World`."""
 
     def signals_ahead(self, agent: str) -> set[str] | None:
-        """Returns the signals on an agent's way; None if there is no such agent."""
+        """Returns the signals on an agent's route; None if there is no such agent."""
 
     def set_speed(self, agent: str, speed_mps: float | None) -> None:
         """Lets an agent drive at a speed, or freely."""
@@ -49,9 +49,9 @@ class _Obeyed:
 
 
 class AdvisedSpeeds:
-    """Takes speed advice and lets vehicles follow it.
+    """Receives speed advice and lets vehicles follow it.
 
-    What is due acts before a step of the world, in the order of its time, signal and agent, however
+    Due advice acts before a step of the world, in the order of its time, signal and agent, however
     it arrived. An agent drives as advised until the signal ends that, the stop bar is passed, or
     nothing new has come for `HELD_NS`; of two signals the later one counts. `obeyed` counts the
     advice that vehicles followed.
@@ -82,7 +82,7 @@ class AdvisedSpeeds:
     def take(
         self, advice: SpeedAdvice, key: Mapping[str, str], now_ns: int, *, awaited: bool
     ) -> None:
-        """Takes advice that came under a key; in lockstep only what is `awaited`."""
+        """Receives advice that came under a key; in lockstep only what is `awaited`."""
         if awaited and advice.tls in self._signals:
             self._arrived.setdefault(advice.tls, set()).add(advice.agent)
         reason = self._refusal(advice, key, now_ns, awaited=awaited)
@@ -100,7 +100,7 @@ class AdvisedSpeeds:
             self._refusals["crowded_out"] += 1
 
     def actuate(self, now_ns: int) -> None:
-        """Lets vehicles follow what is due, and ends what has lasted."""
+        """Lets vehicles follow due advice, and ends expired advice."""
         split = bisect_right(self._pending, now_ns, key=_due_ns)
         due, self._pending = self._pending[:split], self._pending[split:]
         for advice in sorted(due, key=_rank):
@@ -134,7 +134,7 @@ class AdvisedSpeeds:
         return tls in (self._drivers.signals_ahead(agent) or ())
 
     def _forget(self, now_ns: int) -> None:
-        """Forgets what was taken so long ago that nothing older would be."""
+        """Forgets the newest times that are so old that nothing older would be accepted."""
         old = [one for one, taken_ns in self._newest_ns.items() if now_ns - taken_ns > HELD_NS]
         for one in old:
             del self._newest_ns[one]

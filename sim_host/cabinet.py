@@ -1,4 +1,4 @@
-"""The signal cabinet at the kerb: it takes requests and shows only what is safe.
+"""The signal cabinet: it accepts requests and shows only safe signal states.
 
 A change from one green to another runs through yellow and all-red, which nothing cuts short.
 Links that are green before and after it keep their green through it, as in real cabinets; so
@@ -23,12 +23,12 @@ from sim_host.limits import MAX_PENDING_REQUESTS
 
 
 class Cabinet(Protocol):
-    """What decides on the state that is shown; see `SignalCabinet`."""
+    """Interface of a cabinet; see `SignalCabinet`."""
 
     refusals: Counter[str]
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Takes a request; returns None, or why it was refused."""
+        """Accepts a request and returns None, or returns why it was refused."""
 
     def refuse(self, request: SignalRequest, now_ns: int) -> str | None:
         """Returns why a request would be refused now, and counts that."""
@@ -55,7 +55,7 @@ class SignalCabinet:
         self._size = len(signal.plan[0].state)
         self._shown = _shown_together(signal)
         self._durations_ns = {
-            "green": max(1, _ns(config.min_green_s)),  # a green is shown before it is left
+            "green": max(1, _ns(config.min_green_s)),  # a green is shown before it ends
             "yellow": _ns(config.yellow_s),
             "all_red": _ns(config.all_red_s),
         }
@@ -68,7 +68,7 @@ class SignalCabinet:
         self._source = self._green_source = PLAN
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:
-        """Takes a request; returns None, or why it was refused.
+        """Accepts a request and returns None, or returns why it was refused.
 
         A refused request changes nothing: the last accepted one holds until it is stale.
         """
@@ -159,7 +159,7 @@ class SignalCabinet:
 
 
 def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
-    """Returns what the plan shows to conflicting links at once, and the same with less right.
+    """Returns the states that the plan shows to conflicting links together, or with less right.
 
     The plan decides which of the two yields, so a `G` and a `g` may not be swapped.
     """
@@ -220,7 +220,7 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
 
 
 def loop_parameters(config: CabinetConfig) -> dict[str, str]:
-    """Returns what SUMO's actuated control is told of its loops, by SUMO's names."""
+    """Returns the parameters of the loops of SUMO's actuated control, by SUMO's names."""
     return {"max-gap": f"{config.max_gap_s:g}", "detector-gap": f"{config.detector_gap_s:g}"}
 
 
@@ -275,7 +275,7 @@ class PendingRequest:
 
 
 class PendingRequests:
-    """Requests on their way over virtual links, kept until they are due in simulated time.
+    """Requests in transit over virtual links, kept until they are due in simulated time.
 
     Of those due, the one of the newest frame acts. `overtaken` counts those that arrived behind a
     newer one that acted, `crowded_out` those dropped because too many were pending: the farthest
@@ -311,7 +311,7 @@ class PendingRequests:
         return None
 
     def _pass(self, sim_time_ns: int) -> None:
-        """Drops what is not due yet and already overtaken."""
+        """Drops requests that are not due yet and already overtaken."""
         newer = [one for one in self._waiting if one.request.sim_time_ns > sim_time_ns]
         self.overtaken += len(self._waiting) - len(newer)
         self._waiting = newer

@@ -3,10 +3,10 @@
 The model has three steps:
 
 1. Trips spread over pairs of an entry and an exit as in a gravity model without counts: in
-   proportion to the lanes of the entry and of the exit, and by a factor of 0.3 for each turn on
-   the way. The factor is chosen: with it three of four vehicles or more go straight on at the
-   signals of the built-in nets, near the 80 % (10 % turn each way) that is a usual assumption for
-   a signal without counts.
+   proportion to the lanes of the entry and of the exit, and by a factor of 0.3 for each turn on the
+   route. The factor is chosen: with it three of four vehicles or more go straight on at the signals
+   of the built-in nets, near the 80 % (10 % turn each way) that is a usual assumption for a signal
+   without counts.
 2. Drivers take the fastest free-flow route (Dijkstra over edges, 5 s for each turn). Travel times
    are perceived with an error of up to 20 %, drawn once for each entry and edge (Burrell's
    multiple-route assignment, 1968): otherwise one of many equal routes in a grid would get all.
@@ -38,7 +38,7 @@ SATURATION = 0.8
 _TURN_WEIGHT, _TURN_S = 0.3, 5.0
 _TIME_ERROR, _SEED = 0.2, 0  # of the travel times that drivers perceive
 _TURN_DEG = 45.0
-_SAME_PLACE_M = 50.0  # who ends this near to where he came in has turned round
+_SAME_PLACE_M = 50.0  # a trip that ends this near to where it began has turned round
 _MAX_FAR_EDGES = 40  # entries and exits of a net without a border
 _MAX_FLOWS = 10_000
 _LISTED = 20
@@ -199,7 +199,7 @@ def _trips(net: Net, roads: _Roads) -> list[Movement]:
 
 
 class _Roads:
-    """The edges for cars, how they follow one another, and by how much one turns there."""
+    """Graph of the edges for cars, with the angle of the turn at each connection."""
 
     def __init__(self, net: Net) -> None:
         self._net = net

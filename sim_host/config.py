@@ -45,7 +45,7 @@ def _default_vehicles() -> list[VehicleSpec]:
 
 
 class LateralConfig(Section):
-    """Where in their lanes vehicles drive: by default in the middle, and lane changes at once."""
+    """Lateral positions of vehicles in lanes: by default the middle, and instant lane changes."""
 
     lane_change_s: float = Field(
         0, description="time that a lane change takes; 0: as the sumocfg says, or none", ge=0, le=20
@@ -150,7 +150,7 @@ class TrafficConfig(Section):
 
 
 class CabinetConfig(Section):
-    """Times that the signal cabinet keeps, whatever is requested."""
+    """Times that the signal cabinet enforces, whatever is requested."""
 
     min_green_s: float = Field(5, description="a green lasts at least this long", ge=0, le=120)
     yellow_s: float = Field(4, description="yellow after a green", gt=0, le=20)

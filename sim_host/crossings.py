@@ -1,7 +1,7 @@
-"""Crossings: where people walk over the arms of a junction, and the traffic that they meet there.
+"""Pedestrian crossings over the arms of a junction, and their conflicts with vehicles.
 
 A net need not have crossings of its own. Each arm gets one, just inside the stop bars, from kerb to
-kerb. Where a way through the junction passes over it, vehicles and people are in conflict. Each
+kerb. Where a path through the junction passes over it, vehicles and people are in conflict. Each
 carriageway is a zone on which nobody may stop; between them people can stand.
 """
 
@@ -22,7 +22,7 @@ HALF_WIDTH_M = 0.8
 _HALF_VEHICLE_M = 1.4  # half a lorry, and a little
 _LEAST_STAND_M = 0.6  # between two carriageways, for someone to stand there
 _SAMPLE_M = 0.1
-_FARTHEST_M = 60.0  # before the stop bar, from where vehicles are looked out for
+_FARTHEST_M = 60.0  # before the stop bar, within which vehicles are considered
 _BEYOND_M = 15.0  # of the lane behind the junction
 _ONE_ARM_M, _ONE_ARM_DEG = 30.0, 50.0
 _TURN_DEG = 45.0
@@ -32,15 +32,15 @@ _LONGEST_M = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Conflict:
-    """A way of vehicles over a crossing.
+    """A path of vehicles over a crossing.
 
     Attributes:
         link: of the signal that lets them in.
         is_own: whether they come from the crossing's own arm.
         is_turning: whether they turn, and so have to let people pass.
         begin_m, end_m: along the crossing, from its start: where they pass.
-        enter_m, leave_m: behind the stop bar along their way: where they are on the crossing.
-        lanes: with each one's start behind the stop bar (negative before it), m along the way, and
+        enter_m, leave_m: behind the stop bar along their path: where they are on the crossing.
+        lanes: with each one's start behind the stop bar (negative before it), m along the path, and
             what to multiply SUMO's positions on it with.
     """
 
@@ -229,7 +229,7 @@ def _turns(roads: RoadMap, start: str, end: str) -> bool:
 
 
 def _ways(roads: RoadMap, one: Intersection) -> list[tuple[InnerPath, str]]:
-    """Returns the ways through a junction, and the lane from which each begins."""
+    """Returns the paths through a junction, and the lane from which each begins."""
     starts = {
         after: lane for lane in one.incoming if lane in roads.by_id
         for after in roads.by_id[lane].successors
@@ -238,7 +238,7 @@ def _ways(roads: RoadMap, one: Intersection) -> list[tuple[InnerPath, str]]:
 
 
 def _line(roads: RoadMap, path: InnerPath) -> tuple[Floats, Floats]:
-    """Returns places (K, 2) on a way and how far behind the stop bar each is (K,)."""
+    """Returns places (K, 2) on a path and how far behind the stop bar each is (K,)."""
     parts = [roads.by_id[name].points[:, :2] for name, _ in path.inner]
     line = resample(np.concatenate([*parts, roads.by_id[path.exit].points[:, :2]]), 0.5)
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])

@@ -120,7 +120,7 @@ def mesh_for(v_class: str, height_m: float) -> str:
 
 
 def object_class_of(v_class: str) -> ObjectClass:
-    """Returns what detectors are to call a class of vehicles; trains and ships are trucks."""
+    """Returns the `ObjectClass` of a SUMO vehicle class; trains and ships are trucks."""
     other = ObjectClass.TRUCK if v_class.startswith(_ON_RAILS) else ObjectClass.CAR
     return _OBJECT_CLASSES.get(v_class, other)
 
@@ -195,7 +195,7 @@ def write_demand(path: Path, net: Net, signal: Signal, config: TrafficConfig) ->
 
 
 def movement_name(movement: Movement, net: Net) -> str:
-    """Returns what a movement's route and flow are called, from edge to edge.
+    """Returns the name of a movement's route and flow, from edge to edge.
 
     Raises:
         ConfigError: that is too long for the ids of its vehicles.
@@ -245,7 +245,7 @@ def movements(net: Net, signal: Signal, config: TrafficConfig) -> list[Movement]
 def _targets(net: Net, signal: Signal) -> dict[str, list[str]]:
     """Maps each lane before the signal that cars may use to the edges it leads to.
 
-    Nobody turns around but from a lane that leads nowhere else.
+    There are no U-turns but from a lane that leads nowhere else.
     """
     back = {
         (one.from_lane, one.to_lane)

@@ -16,7 +16,7 @@ from sim_host.vehicle_meshes import BOX
 
 
 def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> Equipment:
-    """Returns what a vehicle carries.
+    """Draws a vehicle's equipment: none, CV or CAV.
 
     One uniform number decides, so a higher rate keeps every CAV that a lower rate had.
     """
@@ -29,7 +29,7 @@ def draw_equipment(seed: int, vehicle: str, cav_rate: float, cv_rate: float) -> 
 
 HALTED_MPS = 0.1  # slower is a stop, as in SUMO
 _EQUIPPED = (ObjectClass.CAR, ObjectClass.TRUCK)
-_UNSAFE = re.compile(rf"[/*$?#\s]|^(?={PARKED}|{PEDESTRIAN})")  # the latter would be taken for one
+_UNSAFE = re.compile(rf"[/*$?#\s]|^(?={PARKED}|{PEDESTRIAN})")  # prefixes of bystanders
 
 
 @dataclass(slots=True)
@@ -90,7 +90,7 @@ class Journeys:
         return [self._under_way[vehicle] for vehicle in vehicles]
 
     def note_step(self) -> None:
-        """Reads what each vehicle has lost so far, for SUMO forgets it, and did in this step."""
+        """Reads each vehicle's time loss, which SUMO forgets, and its halts and emissions."""
         api, step_s = self._sumo.vehicle, self._traffic.step_s
         for vehicle in api.getIDList():
             journey = self._under_way.get(vehicle)

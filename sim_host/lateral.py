@@ -1,4 +1,4 @@
-"""Where in its lane a vehicle drives: beside the middle, by what drifts slowly along its way.
+"""Lateral positions of vehicles in their lanes: offsets that drift slowly along the route.
 
 SUMO drives in the middle of lanes. Its sublane model would give a lateral position, too, but takes
 four times as long for a step and drives otherwise; so a vehicle's offset is drawn here, from its id
@@ -89,12 +89,12 @@ class LateralPositions:
         )
 
     def _base_m(self, types: list[VehicleType], lane_widths_m: Floats, room: Floats) -> Floats:
-        """Returns where each kind drives (N,): bicycles at the right, others in the middle."""
+        """Returns mean lateral positions (N,): bicycles at the right, others in the middle."""
         edge_m = self._config.bicycle_edge_m
         if not edge_m:
             return np.zeros(len(types))
         rides_right = np.array([kind.mesh == BICYCLE for kind in types], np.bool_)
-        # What `tanh` will turn into the distance that was asked for.
+        # The argument for which `tanh` gives the wanted distance.
         share = np.clip((lane_widths_m / 2 - edge_m) / room, 0, 0.98)
         return np.where(rides_right, -room * np.arctanh(share), 0.0)
 
@@ -104,10 +104,10 @@ _SLOWEST_MPS = 5.0  # bounds how far a vehicle turns to change lanes: by 8 degre
 
 
 class LaneHeadings:
-    """Headings along lanes, of vehicles that change lanes in time.
+    """Headings along lanes, of vehicles whose lane changes take time.
 
-    SUMO turns such a vehicle by where it goes, which is sideways for one that hardly moves: it may
-    stand across two lanes for a whole red.
+    SUMO turns such a vehicle by its direction of motion, which is sideways for one that hardly
+    moves: it may stand across two lanes for a whole red.
     """
 
     def __init__(self, sumo: Any) -> None:  # noqa: ANN401 - libsumo is untyped

@@ -1,4 +1,4 @@
-"""Files that SUMO reads, gzipped or not."""
+"""Reader of SUMO net files, gzipped or not."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sim_host.limits import MAX_ID_CHARS
 
 _Stream = BufferedReader | gzip.GzipFile
 UNREADABLE = (ElementTree.ParseError, OSError, EOFError, zlib.error)
-"""What reading such a file as XML raises if it is damaged."""
+"""Exceptions that reading such a file as XML raises if it is damaged."""
 
 
 def open_file(path: Path) -> _Stream:
@@ -29,7 +29,7 @@ def open_file(path: Path) -> _Stream:
 Point = tuple[float, float, float]
 _NOT_IN_IDS = frozenset(" \t\n\r|\\'\";,<>&*?")  # for SUMO they end or divide names
 _WALKS = {"crossing", "walkingarea"}
-TURNAROUND_DEG = 170.0  # who turns so far goes back where he came from
+TURNAROUND_DEG = 170.0  # a connection that turns so far is a U-turn
 _ROAD_CLASSES = {"passenger", "private", "taxi", "bus", "coach", "delivery", "truck", "trailer"}
 
 

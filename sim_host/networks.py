@@ -138,7 +138,7 @@ NETWORKS: dict[str, NetworkWriter] = {
     "grid": write_grid,
     "town": write_town,
 }
-"""What writes a built-in net, by the net's name."""
+"""Writers of the built-in nets, by the net's name."""
 
 
 def _cell(column: int, row: int) -> str:
@@ -198,7 +198,7 @@ def _is_main(start: str, end: str) -> bool:
 
 
 def _is_connected(rest: list[tuple[str, str]], before: list[tuple[str, str]]) -> bool:
-    """Tells whether the rest of the streets still joins all places."""
+    """Whether the remaining streets still connect all places."""
     places = {place for pair in before for place in pair}
     found, open_ends = set[str](), [before[0][0]]
     while open_ends:

@@ -2,8 +2,8 @@
 
 They stand on the pavement along the road, in spaces of their own: off all lanes, away from
 junctions, street lights and each other. The setup holds them, for every process needs them once:
-the world's host adds them to the ticks, and evaluations know that what is detected there is no
-ghost. The truth does not hold them, which is about traffic.
+the world's host adds them to the ticks, and evaluations do not count detections of them as ghosts.
+The truth, which is about traffic, does not hold them.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class _Car:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Kerb:
-    """Where cars may park: off the road, away from junctions, lights and who has parked there."""
+    """Where cars may park: off the road, away from junctions, lights and parked cars."""
 
     area: RoadArea
     junctions: _Places
@@ -175,7 +175,7 @@ _PLOT_M = 16.0
 class _Places:
     """Places in the plane, by square plots, so that the nearest of a city's is found at once.
 
-    What is farther than a plot's side may be said to be at any distance beyond it.
+    Distances beyond a plot's side are only lower bounds.
     """
 
     def __init__(self, places: Floats) -> None:

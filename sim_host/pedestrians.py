@@ -1,11 +1,11 @@
-"""Pedestrians: they walk along the pavements to a junction and cross its arms.
+"""Pedestrian model: people walk along the pavements to a junction and cross its arms.
 
 A kinematic model. People come to each crossing at random (exponential headways) and walk at a speed
 of their own. They step onto a carriageway if the vehicles of the crossed arm have a red light while
-others have a green one, if nobody comes straight on before they are over it, and if those who turn
-can stop. Then drivers let them pass: who can stop does so before the crossing, also those whose
-light turns green meanwhile and those who turn (as the law has it, StVO, section 9). Between the
-carriageways people wait as at a kerb.
+others have a green one, if no vehicle comes straight on before they are over it, and if those that
+turn can stop. Then drivers let them pass: those that can stop do so before the crossing, also those
+whose light turns green meanwhile and those that turn (as the law has it, StVO, section 9). Between
+the carriageways people wait as at a kerb.
 
 Speeds: 15 % of people up to 60 years walk slower than 1.15 m/s (Fitzpatrick, Brewer and Turner
 2006, Another Look at Pedestrian Walking Speed, Transportation Research Record 1982), which is a
@@ -33,10 +33,10 @@ _SPEED_MPS, _SPEED_STD_MPS, _SPEEDS_MPS = 1.4, 0.25, (0.8, 2.0)
 _WAY_M = (15.0, 50.0)  # along the arm, before the crossing and behind it
 _ASIDE_M = (0.5, 1.5)  # from the kerb, on the pavement
 _BEHIND_PARKED_M = (2.6, 3.4)
-_LOOK_S = 0.5  # who waits looks that often
-_MARGIN_S = 1.0  # between someone who leaves a lane and who comes there
-_ACCELERATION_MPS2 = 2.6  # SUMO's of cars; whoever comes may speed up
-_BRAKING_MPS2 = 3.0  # who cannot stop with it does not let people pass
+_LOOK_S = 0.5  # a waiting person checks that often
+_MARGIN_S = 1.0  # between a person that leaves a lane and a vehicle that comes
+_ACCELERATION_MPS2 = 2.6  # SUMO's of cars; an approaching vehicle may speed up
+_BRAKING_MPS2 = 3.0  # a vehicle that cannot stop with it does not let people pass
 _BEFORE_M = 1.5  # that drivers stop before a crossing
 _STEP_S = 0.2  # that they take until they brake
 _STANDS_MPS = 0.1
@@ -45,7 +45,7 @@ _BODY_M = 0.3
 
 @dataclass(slots=True)
 class _Walker:
-    """Someone on the way: a polyline (K, 2), whose corners lie `at_m` (K,) along it.
+    """A walking person: a polyline (K, 2), whose corners lie `at_m` (K,) along it.
 
     `zones` are to be crossed, as begin, end, zone and whether it is walked from its end; the first
     of them `entered` or not.
@@ -111,7 +111,7 @@ class Pedestrians:
         self._walkers = [one for one in self._walkers if one.way_m < one.at_m[-1]]
 
     def people(self) -> People:
-        """Returns where everybody is, by id."""
+        """Returns all people, by id."""
         found = sorted(self._walkers, key=lambda one: one.id)
         plane = np.array([_pose(one) for one in found]).reshape(-1, 3)
         above_m = np.zeros(len(found))
@@ -148,7 +148,7 @@ class Pedestrians:
         return True
 
     def _hold(self, traffic: _Oncoming) -> None:
-        """Stops who comes to a crossing that someone is on, and lets all others go on."""
+        """Stops vehicles before a crossing that someone is on, and releases all others."""
         wanted: set[str] = set()
         for one in self._walkers:
             if one.entered:
@@ -212,7 +212,7 @@ def _ahead(one: _Walker) -> list[Conflict]:
 
 
 class _Oncoming:
-    """The traffic of one moment, as far as somebody looks at it."""
+    """The approaching traffic of one moment, read from SUMO on demand."""
 
     def __init__(self, sumo: Any) -> None:  # noqa: ANN401 - libsumo is untyped
         self._sumo = sumo
@@ -220,7 +220,7 @@ class _Oncoming:
         self._lanes: dict[str, list[tuple[str, float, float, float]]] = {}
 
     def leaves(self, tls: str, conflict: Conflict, needed_s: float) -> bool:
-        """Whether traffic leaves someone so much time to walk over where a conflict is."""
+        """Whether traffic leaves a person so much time to walk over a conflict."""
         state = self._state(tls)
         is_red = state[conflict.link] in "rRu"
         if conflict.is_own and not (is_red and any(c in "Gg" for c in state)):

@@ -18,10 +18,10 @@ _log = logging.getLogger(__name__)
 
 
 class Readiness:
-    """Which of the expected processes are there.
+    """Readiness: which of the expected processes are present.
 
     A process is ready when it has announced itself on both buses: only then do both routers know
-    all its subscriptions, so that it misses nothing of the first frame.
+    all its subscriptions, so that it receives all of the first frame.
     """
 
     def __init__(self, expected: list[str], timeout_s: float) -> None:
@@ -31,7 +31,7 @@ class Readiness:
         self._since_ns = self._reminded_ns = time.monotonic_ns()
 
     def note(self, presence: Presence) -> None:
-        """Takes a presence; processes that are not expected are ignored."""
+        """Registers a presence; processes that are not expected are ignored."""
         if presence.id not in self._expected:
             return
         if presence.alive:

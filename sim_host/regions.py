@@ -83,7 +83,7 @@ def _cut(road_map: RoadMap, known: list[str], regions: int) -> list[int]:
 
 
 def _join_nearest(road_map: RoadMap, known: list[str], joined: list[set[int]]) -> None:
-    """Joins what no road of the map joins to what is nearest: the graph must be in one piece."""
+    """Connects separate parts of the graph to their nearest: METIS needs it in one piece."""
     places = np.array([road_map.by_tls[tls].centre[:2] for tls in known])
     apart_m = np.linalg.norm(places[:, None] - places, axis=2)
     while len(here := _piece(joined)) < len(known):

@@ -23,7 +23,7 @@ from protocol.roadmap import (
 from sim_host.netfile import Net, NetConnection, NetJunction, Point
 
 _LISTED = 20
-# Lights off (o, O) leave it to the drivers, who then yield; a stop sign's arrow (s) and red-yellow
+# With lights off (o, O) drivers yield; a stop sign's arrow (s) and red-yellow
 # (u) count as red; Y is no state of today's SUMO but of its older nets.
 _PLAIN_STATES = str.maketrans({"o": "g", "O": "g", "s": "r", "u": "r", "Y": "y"})
 
@@ -68,7 +68,7 @@ def junctions_of(net: Net, tls: str) -> list[NetJunction]:
 
 
 def chosen(net: Net, junctions: Literal["all"] | Sequence[str] | None) -> list[str]:
-    """Returns the ids of the signals that are meant, sorted; None means the net's only one.
+    """Returns the ids of the selected signals, sorted; None means the net's only one.
 
     Raises:
         ConfigError: the net has no signal, not these, or several where none was named.

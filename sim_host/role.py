@@ -1,4 +1,4 @@
-"""The sim role: waits for the others, warms traffic up, then plays frame after frame."""
+"""The sim role: waits for the other processes, warms traffic up, then runs frame after frame."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class SimRole:
 
     IDLE lies between frames: a tick follows. FRAME waits for what ends the frame: in lockstep a
     request for each signal, on which the cabinets then act; in realtime the clock, while requests
-    act as they come. The signal state of a tick is what was shown until then.
+    act as they arrive. The signal state of a tick is what was shown until then.
 
     What a cabinet would refuse is refused on arrival: it is neither pending nor ends a frame.
     """
@@ -156,7 +156,7 @@ class SimRole:
         return cls(context, world, cabinets, advised=advised).open()
 
     def open(self) -> SimRole:
-        """Subscribes to what is asked of the world and announces the role."""
+        """Subscribes to requests, advice and queries, and announces the role."""
         self._context.v2x.subscribe("request")
         if self._advised is not None:
             self._context.v2x.subscribe("advice")
@@ -167,7 +167,7 @@ class SimRole:
         return self
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a presence or a request; signals act at once in realtime, else at frame's end."""
+        """Handles a presence or a request; signals act at once in realtime, else at frame's end."""
         if isinstance(item, Presence):
             self._note_presence(item)
         elif isinstance(item.message, SignalRequest):
@@ -328,13 +328,13 @@ class SimRole:
             self._since_ns = time.monotonic_ns()
 
     def _await_recorder(self) -> None:
-        """Ends the run once the recorder is there to receive it: it may be restarting."""
+        """Ends the run once the recorder is present to receive the end: it may be restarting."""
         is_here = self._readiness.is_on(BusName.WORLD, "record")
         if is_here or time.monotonic_ns() - self._since_ns > _RECORDER_RESTART_NS:
             self._end("finished")
 
     def _actuate(self, controls: Iterable[SignalControl]) -> None:
-        """Lets cabinets act on the requests that are due; metrics tell of each answered frame."""
+        """Lets cabinets act on due requests; publishes metrics of each answered frame."""
         now_ns = self._world.time_ns
         spans: dict[tuple[int, int], list[Span]] = {}
         for control in controls:
@@ -406,7 +406,7 @@ def _sumo_control(setup: Setup, world: World) -> dict[str, Cabinet] | None:
 
 
 def _speed_advice(setup: Setup, world: World) -> AdvisedSpeeds | None:
-    """Returns what lets vehicles follow speed advice, if the scenario wants that."""
+    """Returns the handler of speed advice, if the scenario enables it."""
     signal = setup.scenario.get("signal", {})
     if not signal.get("speed_advice"):
         return None

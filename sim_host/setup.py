@@ -146,7 +146,7 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
 
 
 def with_greens(roads: RoadMap, greens_s: Sequence[float]) -> RoadMap:
-    """Returns the map with so long greens in the fixed plan of its only signal; none: as it is.
+    """Returns the map with these green durations in its only signal's fixed plan; none: unchanged.
 
     Raises:
         ConfigError: there are several signals, or the plan has another number of greens.
@@ -298,7 +298,7 @@ def _user_world(traffic: TrafficConfig, junctions: Junctions) -> tuple[RoadMap, 
 
 @dataclass(frozen=True, slots=True)
 class SumoFiles:
-    """What a sumocfg names: its net, and the files that may hold vehicle types."""
+    """Files named by a sumocfg: its net, and those that may hold vehicle types."""
 
     net: Path
     others: list[Path]

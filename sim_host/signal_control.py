@@ -16,14 +16,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Actuation:
-    """A request on which a cabinet acted, and how long that took since it had come."""
+    """A request on which a cabinet acted, and how long that took since its arrival."""
 
     request: SignalRequest
     span: Span
 
 
 class SignalControl:
-    """Takes requests for one signal and acts on them; what its cabinet would refuse it refuses.
+    """Receives requests for one signal and acts on them; refuses what its cabinet would refuse.
 
     In lockstep the first request that answers the present frame is kept until the frame ends, in
     realtime each waits until it is due. `out_of_turn` counts those that answer another frame.
@@ -54,7 +54,7 @@ class SignalControl:
         return self.cabinet.spat(frame, now_ns)
 
     def take(self, item: Envelope, request: SignalRequest, now_ns: int, *, awaited: bool) -> None:
-        """Takes a request; in lockstep only the first one that is `awaited`."""
+        """Receives a request; in lockstep only the first one that is `awaited`."""
         if self._lockstep and (self._answer is not None or not awaited):
             self.out_of_turn += 1
         elif self._is_refused(request, self.cabinet.refuse(request, now_ns)):

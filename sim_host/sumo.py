@@ -1,4 +1,4 @@
-"""SUMO's programs and libraries. `python -m sim_host.sumo` tries them and prints the version."""
+"""SUMO's programs and libraries. `python -m sim_host.sumo` tests them and prints the version."""
 
 from __future__ import annotations
 

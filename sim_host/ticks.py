@@ -1,4 +1,4 @@
-"""Ticks: each frame's bodies, published by tile of the map, and whom each process plays."""
+"""Ticks: publishes each frame's bodies by map tile, and which process plays which agents."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class TickPublisher:
         self._published: dict[Tile, TileBodies] = {}
 
     def publish(self, frame: int, sim_time_ns: int, bodies: TrafficState, fleet: Fleet) -> None:
-        """Publishes a frame's bodies; vehicles without radio are nobody's to play."""
+        """Publishes a frame's bodies; vehicles without radio are assigned to no process."""
         if self._setup is not None:
             bodies = bodies.with_parked(self._setup)
         before, self._published = self._published, {}
@@ -39,7 +39,7 @@ class TickPublisher:
         self._bus.publish("tick", self._tick(frame, sim_time_ns, bodies, fleet))
 
     def answer(self, request: TileRequest) -> None:
-        """Publishes again the tiles that a process lacks; of one without bodies there is none."""
+        """Publishes again the tiles that a process lacks; nothing for one without bodies."""
         for column, row in request.tiles.tolist():
             if (kept := self._published.get((column, row))) is not None:
                 self._bus.publish("bodies", kept, tile=tile_name((column, row)))

@@ -267,7 +267,7 @@ def _bus() -> list[Solid]:
 
 
 def _rider(seat_m: float, lean_m: float, foot_m: Point) -> list[Solid]:
-    """Returns who sits at x = `seat_m`, 0.85 m up: legs, leaning trunk, arms and head."""
+    """Returns a rider at x = `seat_m`, 0.85 m up: legs, leaning trunk, arms and head."""
     hip, shoulder = (seat_m, 0.85), (seat_m + lean_m, 1.38)
     x, z = foot_m
     trunk = [

@@ -230,7 +230,7 @@ class World:
         )
 
     def _people(self) -> TrafficState:
-        """Returns those of our own, and of SUMO's whoever walks within the radius."""
+        """Returns the pedestrians of this model, and SUMO's own persons within the radius."""
         own, person = self._pedestrians.people(), self._sumo.person
         names = [name for name in sorted(person.getIDList()) if not person.getVehicle(name)]
         places = np.array([person.getPosition3D(name) for name in names]).reshape(-1, 3)
@@ -306,7 +306,7 @@ class World:
             self._shown[tls] = state
 
     def signals_ahead(self, agent: str) -> set[str] | None:
-        """Returns the signals on an agent's way; None if no such agent is within the radius."""
+        """Returns the signals on an agent's route; None if no such agent is within the radius."""
         name = self._radios.get(agent)
         return None if name is None else {one[0] for one in self._sumo.vehicle.getNextTLS(name)}
 
@@ -370,7 +370,7 @@ def truth_of(frame: int, sim_time_ns: int, bodies: TrafficState) -> Truth:
 
 
 class Traffic(Protocol):
-    """What the sim role needs of traffic, simulated or recorded; see `World`."""
+    """Interface of traffic, simulated or recorded; see `World`."""
 
     time_ns: int
     counts: TrafficCounts

@@ -1,4 +1,4 @@
-"""Analysis of recorded runs: figures of merit, reports, pictures, benches, studies of many runs.
+"""Analysis of recorded runs: figures of merit, reports, pictures, benchmarks, parameter studies.
 
 Figures of one run
 - `ecvpr`: matching of detections with vehicles, E-CVPR and its upper bounds
@@ -19,6 +19,6 @@ Many runs
 - `run_frames`: a recorded run as Polars frames (`cpnet.Run`); `comparison`: two runs side by side
 - `sweep/`: `cpnet study`, its cells, workers and table
 - `bench_*`, `evaluate`, `accuracy`: `cpnet bench`, `cpnet eval`, Table 1 of Chen et al. 2022
-- `kitti_eval`: the same on files with labels in KITTI's form
+- `kitti_eval`: the same on files with labels in KITTI's format
 - `box_files`: detected boxes of a run as KITTI's labels or Parquet
 """

@@ -33,7 +33,7 @@ def measure_accuracy(
     The scenario's seed decides all but `detect_ms`.
 
     Raises:
-        ConfigError: the junction cannot be had, or a detector.
+        ConfigError: the junction or a detector is not available.
     """
     site, listed = junction_of(scenario, samples)
     return evaluate(((site, sample) for sample in listed), detectors)
@@ -43,7 +43,7 @@ def junction_of(scenario: Scenario, samples: int) -> tuple[Site, Iterator[SceneS
     """Returns a scenario's junction and its samples; fewer samples are the first of more.
 
     Raises:
-        ConfigError: there are too few or too many, or the junction cannot be had.
+        ConfigError: there are too few or too many, or the junction is not available.
     """
     if not 1 <= samples <= MAX_SAMPLES:
         raise ConfigError(f"samples {samples}: must be 1 to {MAX_SAMPLES}")
@@ -53,7 +53,7 @@ def junction_of(scenario: Scenario, samples: int) -> tuple[Site, Iterator[SceneS
 
 
 SCHEMA = 2
-"""To be raised when the same samples would give other rows: all is measured anew."""
+"""Version, to be raised when the same samples give other rows: all are measured again."""
 
 _DECIDE = (
     "seed", "traffic", "lidar", "sensor_height_m", "roadside_mounts", "scene", "pose", "edge",
@@ -79,7 +79,7 @@ def accuracy_of(
 
 
 def identity(scenario: Scenario, detectors: Sequence[DetectorName], samples: int) -> str:
-    """Returns an id of all that decides the rows: keys, files, this version."""
+    """Returns a hash of all that decides the rows: keys, files, this version."""
     scene = identify({key: scenario[key] for key in _DECIDE})
     decides = json.dumps([scene, list(detectors), samples, SCHEMA])
     return hashlib.sha256(decides.encode()).hexdigest()[:16]
@@ -138,7 +138,7 @@ def _table(rows: list[EvalRow], *, geofence: bool, caption: str) -> Table:
 
 
 def _paper_rows(*, geofence: bool) -> tuple[tuple[Cell, ...], ...]:
-    """Returns the paper's figures; beside ours with geofence, they say that they have none."""
+    """Returns the paper's figures, marked as without geofence beside ours with it."""
     note = ", no geofence" if geofence else ""
     names = dict.fromkeys(name for name, _ in PAPER)
     return tuple(
@@ -159,7 +159,7 @@ def _figures(cells: dict[tuple[View, float], float | None], factor: float) -> tu
 
 
 def _said(rows: list[EvalRow]) -> str:
-    """Returns what the figures are of, and what the paper's differ in."""
+    """Returns the caption: what the figures are of, and how the paper's differ."""
     scenes = {row.fusion: row.scenes for row in rows}
     of = {row.truth: row.vehicles for row in rows if row.fusion == "early" and not row.geofence}
     return (

@@ -68,7 +68,7 @@ def shown_sample(site: Site, sample: SceneSample, name: DetectorName) -> ShownSa
     """Detects at a sample, inside the geofence.
 
     Raises:
-        ConfigError: the detector cannot be had here.
+        ConfigError: the detector is not available here.
     """
     window = _window(site.road_map)
     found, least = find(site, sample, name, geofence=True), site.least_score(name)
@@ -112,7 +112,7 @@ def _visible(sample: SceneSample) -> Bools:
 
 
 def _names(sample: SceneSample) -> list[str]:
-    """Returns posts by their ids and CAVs by number: a vehicle's id tells the reader nothing."""
+    """Returns names: posts by their ids, CAVs by number (vehicle ids mean nothing to readers)."""
     names, cavs = [], 0
     for scan in sample.scans:
         cavs += scan.own is not None
@@ -142,7 +142,7 @@ def cloud_maps(view: ShownSample) -> tuple[MapChart, MapChart]:
 
 
 def fusion_maps(view: ShownSample) -> tuple[MapChart, MapChart]:
-    """Returns the detections of each scan by agent, and what is left without duplicates."""
+    """Returns the detections of each scan by agent, and those without duplicates."""
     colours = _colours(view)
     before = [_outlines(name, boxes, colours[name]) for name, boxes in view.singles.items()]
     count = sum(len(boxes) for boxes in view.singles.values())
@@ -250,10 +250,10 @@ LOOKED_AT = 12  # samples, of which one is shown
 
 
 def scenes_section(scenario: Scenario, detector: DetectorName, samples: int = LOOKED_AT) -> Section:
-    """Returns clouds, detections and truth at the sample that shows most.
+    """Returns clouds, detections and truth at the sample with the most scans.
 
     Raises:
-        ConfigError: the junction cannot be had, or the detector.
+        ConfigError: the junction or the detector is not available.
     """
     title = "Figures 3, 5 and 7: clouds, detections, truth"
     site, listed = junction_of(scenario, samples)

@@ -1,4 +1,4 @@
-"""What vehicles lose and how they queue before stop bars, from samples of where they are.
+"""Time loss and queues of vehicles on approaches, from samples of their positions.
 
 The same samples, once a second, come from SUMO alone and from the truth of a recorded run.
 """
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from protocol.approaches import Approaches
 from protocol.roadmap import Intersection, Lane, RoadMap
 
-REACH_M = 300.0  # before a stop bar, as far as vehicles are looked at
+REACH_M = 300.0  # before a stop bar, within which vehicles are considered
 INTERVAL_S = 10.0  # of which the queue is a mean
 _STANDING_MPS = 1.4  # 5 km/h
 _WAITING_MPS = 0.1  # as SUMO has it
@@ -22,7 +22,7 @@ _WINDS = ("east", "north-east", "north", "north-west", "west", "south-west", "so
 
 
 class VehicleSample(NamedTuple):
-    """Where a vehicle is: its lane, metres along it as SUMO counts them, its speed in m/s."""
+    """A vehicle's lane, metres along it as SUMO counts them, and speed in m/s."""
 
     vehicle: str
     lane: str
@@ -57,7 +57,7 @@ class ApproachLog:
         self.waited_s = 0.0
 
     def note(self, time_s: float, samples: Iterable[VehicleSample]) -> None:
-        """Takes where all vehicles are, `time_s` after the first measured moment."""
+        """Adds a sample of all vehicles, `time_s` after the first measured moment."""
         standing, stood_s = 0, {}
         for one in samples:
             if one.speed_mps < _WAITING_MPS:
@@ -88,7 +88,7 @@ class ApproachLog:
 
 
 def approach_names(road_map: RoadMap) -> dict[tuple[str, str], str]:
-    """Returns what each approach is called: the wind that it comes from, else its edge.
+    """Returns the names of the approaches: the compass direction that it comes from, else its edge.
 
     By signal and edge; with several signals, the signal's id comes first.
     """

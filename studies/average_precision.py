@@ -1,8 +1,8 @@
 """Average precision over 40 recall positions, AP40, as KITTI counts it (Simonelli et al. 2019).
 
 Detections of all scenes are taken in the order of their scores. Each takes the free vehicle that it
-overlaps most, if by more than the IoU that is asked for; a vehicle is taken once. The precision at
-a recall is the best that is reached at this recall or a higher one.
+overlaps most, if by more than the given IoU; a vehicle is taken once. The precision at a recall is
+the best that is reached at this recall or a higher one.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What detections are worth, all scenes together.
+    """Average precision, recall and precision of all scenes together.
 
-    All are None where there is nothing that they could be a share of.
+    A share is None where its denominator is 0.
     """
 
     vehicles: int
@@ -66,7 +66,7 @@ def outcomes(scene: Scene, view: View, least_iou: float, due: Bools, fair: Bools
         scene: the detections and the vehicles.
         view: which overlap counts.
         least_iou: a match overlaps by more than this.
-        due: (M,) vehicles to be found. Others are neither missed, nor is who finds them wrong; a
+        due: (M,) vehicles to be found. Others are neither missed, nor are their detections false; a
             detection prefers one that is due.
         fair: (N,) in the order given: detections that are false where they match no vehicle.
     """
@@ -91,8 +91,8 @@ def average_precision(
     """Returns the score of all scenes together, given their outcomes and scores by detection.
 
     `vehicles` is how many are due. Recall and precision are those of detections with `least_score`
-    or more. Detections with equal scores count together: no threshold parts
-    them, so that their order is no matter.
+    or more. Detections with equal scores count together: no threshold separates them, so that their
+    order does not matter.
     """
     result = np.concatenate([np.zeros(0, np.int64), *results])
     ranks = np.concatenate([np.zeros(0), *scores])

@@ -1,4 +1,4 @@
-"""What benches share: what they measure by default, and tables whose numbers are never cut."""
+"""Shared code of benchmarks: default cases, and tables whose numbers are never truncated."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def empty_table(
 
 
 def print_whole(table: Table, console: Console) -> None:
-    """Prints a table as wide as it is."""
+    """Prints a table in its full width."""
     boundless = console.options.update(width=_ANY_WIDTH)
     table.width = console.measure(table, options=boundless).maximum
     console.print(table, crop=False)

@@ -4,7 +4,7 @@ Scans are a roadside sensor's and CAVs' in traffic, at the built-in junction; cl
 kinds of LiDAR see there (`studies.sensor_clouds`), and files. All codecs get the same bound.
 Draco's grid is as coarse as the bound allows: its step puts the corners of a cell one bound from
 its middle, whatever the number of bits. Times are CPU times of one thread, medians; codecs take
-turns, so that a busy machine is so for all.
+turns, so that load of the machine affects all.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class BenchCloud:
 
     @classmethod
     def of_file(cls, path: Path) -> BenchCloud:
-        """Returns the points of a file, once it is sure that all codecs take them.
+        """Reads the points of a file, and checks that all codecs accept them.
 
         Raises:
             ConfigError: it cannot be read, or holds no points that could be measured.
@@ -88,7 +88,7 @@ class BenchCloud:
 
 
 def cast_clouds(junction: Junction) -> list[BenchCloud]:
-    """Casts what other kinds of sensor on a CAV's roof see; the same clouds every time."""
+    """Casts clouds of other kinds of sensor on a CAV's roof; the same ones every time."""
     own = junction.car_at(CAV_DISTANCES_M[0])
     map_SE3_sensor = pose_above(junction.bodies.poses[own], ROOF_HEIGHT_M)
     cast = sensor_clouds(junction.mesh_without(own), map_SE3_sensor, CAST_SEED)
@@ -101,7 +101,7 @@ class BenchRow(JsonRow):
 
     `kind` is the cloud's. `max_error_m` is the farthest that a point lies from its decoded self.
     `noise_floor_bits` is what range noise costs per point in steps of twice that bound,
-    `loss_floor_bits` what it costs to tell which beams were lost; None where not known.
+    `loss_floor_bits` what it costs to code which beams were lost; None where not known.
     """
 
     cloud: str
@@ -120,7 +120,7 @@ class BenchRow(JsonRow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """`encode` makes bytes, `decode` points of them; `error_m` measures what came back."""
+    """A codec under test: `encode` makes bytes, `decode` points; `error_m` measures the error."""
 
     codec: str
     bound_m: float
@@ -288,7 +288,7 @@ _U16_STEPS = 65_535
 
 
 def _images(cloud: BenchCloud, bound_m: float) -> list[_Trial]:
-    """Returns codecs of pictures on the range image, if there is one and they are installed."""
+    """Returns image codecs on the range image, if there is one and they are installed."""
     scan = cloud.scan
     if scan is None:
         return []

@@ -1,8 +1,8 @@
 """`cpnet bench control`: signal policies on SUMO alone, with perfect positions near the signals.
 
-No sensor, network or detector takes part: what is measured is the control. Delay is what SUMO's
-tripinfo calls time loss plus departure delay, of all vehicles: those still on the way at the end
-and those that found no room to enter as well.
+No sensor, network or detector takes part: only the control is measured. Delay is what SUMO's
+tripinfo calls time loss plus departure delay, of all vehicles, also those still under way at the
+end and those that found no room to enter.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def measure_control(cases: Sequence[ControlCase], processes: int = 1) -> Iterato
     """Yields the row of each case, in their order, from a process of its own.
 
     Raises:
-        ConfigError: a net or a policy is none.
+        ConfigError: a net or a policy is invalid.
     """
     timed = [case for case in cases if case.policy == WEBSTER]
     flows = {timed[number]: found for number, found in run_each(lane_flows_vph, timed, processes)}
@@ -46,7 +46,7 @@ def lane_flows_vph(case: ControlCase) -> dict[str, float]:
     """Returns the vehicles per hour that pass each stop bar under the net's own plan.
 
     Raises:
-        ConfigError: the net is none.
+        ConfigError: the net is invalid.
     """
     with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
         run = ControlRun(replace(case, policy=OWN_PLAN), Path(folder))
@@ -58,14 +58,14 @@ def run_case(case: ControlCase) -> ControlRow:
     """Runs a case; the first run of a process alone gives the same row every time.
 
     Raises:
-        ConfigError: the net or the policy is none, or the policy is told what it does not know.
+        ConfigError: the net or the policy is invalid, or a setting is unknown to the policy.
     """
     with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
         return _checked_run(case, Path(folder)).row()
 
 
 def run_case_in_detail(case: ControlCase) -> dict[str, Any]:
-    """Returns the row of a case, and what its `ApproachLog` holds.
+    """Returns the row of a case, and the data of its `ApproachLog`.
 
     Raises:
         ConfigError: as `run_case`.
@@ -110,7 +110,7 @@ def print_control(rows: list[ControlRow], console: Console) -> None:
 
 
 def _estimates(row: ControlRow) -> tuple[str, str]:
-    """Returns how good the queues were that a policy estimated."""
+    """Returns the error of the queues that a policy estimated."""
     if row.queue_error is None or row.queue_inside is None:
         return DASH, DASH
     return f"{row.queue_error:.2f}", f"{100 * row.queue_inside:.0f} %"

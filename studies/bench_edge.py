@@ -2,7 +2,7 @@
 
 Recorded traffic, encoded beforehand; all scans of a frame are there at once, and are decoded as in
 the edge's process, by a thread for each core. Every detector with every number of agents has a
-process of its own, so that its memory can be told apart; they run one after the other.
+process of its own, so that its memory is measured separately; they run one after the other.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ STAGES = ("decode", "place", "check", "merge", "ground", "detect", "fuse", "trac
 
 @dataclass(frozen=True, slots=True)
 class EdgeBench:
-    """What is measured: `frames` frames of the same traffic for each."""
+    """Parameters of the benchmark: `frames` frames of the same traffic for each case."""
 
     detectors: tuple[DetectorName, ...]
     agents: tuple[int, ...]
@@ -57,7 +57,7 @@ class EdgeBench:
 
     @property
     def rows(self) -> int:
-        """How many there will be."""
+        """The number of rows."""
         return len(self.detectors) * len(self.agents) * len(STAGES)
 
 
@@ -155,7 +155,7 @@ def _measure(traffic: Path, detector: str, agents: int) -> list[EdgeRow]:
 def _peak_mb() -> float:
     """Returns the most memory that this process ever held.
 
-    The kernel's resource usage would do as well, were it not handed on by the process that forked.
+    The kernel's resource usage (ru_maxrss) does not serve: a forked process inherits it.
     """
     status = Path("/proc/self/status").read_text()
     return int(status.split("VmHWM:")[1].split()[0]) / 1024

@@ -1,8 +1,8 @@
-"""What the recorder takes: bytes a simulated hour, frames a second, CPU time, for a city.
+"""Benchmark of the recorder: bytes a simulated hour, frames a second, CPU time, for a city.
 
-The record role is handed, frame after frame, the bytes that a city's processes would publish; it
-reads, checks, aggregates and writes them as in a run. Making the messages is not measured. No scans
-are kept, `record.snapshot_period_s=0`: what snapshots take follows from their period.
+The record role receives, frame after frame, the bytes that a city's processes would publish; it
+decodes, checks, aggregates and writes them as in a run. Making the messages is not measured. No
+scans are kept, `record.snapshot_period_s=0`: what snapshots take follows from their period.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class RecorderBench:
 
 @dataclass(frozen=True, slots=True)
 class RecorderRow(JsonRow):
-    """What it took.
+    """Cost of recording.
 
     Attributes:
         gb_per_hour: of the database, for a simulated hour; `gb_by_table` are its parts.
@@ -129,7 +129,7 @@ def _collector_of_a_process() -> Iterator[None]:
 
 
 def print_recorder(rows: list[RecorderRow], console: Console) -> None:
-    """Prints what it took, and the tables that take most."""
+    """Prints the cost, and the largest tables."""
     for row in rows:
         console.print(
             f"{row.junctions} junctions, {row.regions} regions, {row.agents} agents, "
@@ -144,7 +144,7 @@ def print_recorder(rows: list[RecorderRow], console: Console) -> None:
 
 
 class _Recorder:
-    """The record role, and buses that hand it what a city publishes."""
+    """The record role, and in-process buses that deliver a city's messages to it."""
 
     def __init__(self, bench: RecorderBench, folder: Path) -> None:
         self.inbox, stop = Inbox(), threading.Event()
@@ -160,7 +160,7 @@ class _Recorder:
         self.wall_s = self.cpu_s = 0.0
 
     def take(self, frame: int) -> None:
-        """Hands it all messages of a frame, as the loop of its process would."""
+        """Delivers all messages of a frame, as the loop of its process would."""
         for topic, message, parts in self._city.messages(frame):
             bus: InProcessBus = self._v2x if topic in _V2X else self._world
             bus.publish(topic, message, **parts)
@@ -191,7 +191,7 @@ _Published = tuple[str, m.Message, dict[str, str]]
 
 
 class _City:
-    """What the processes of a city publish in a frame; vehicles drive, counts stay."""
+    """Messages of the processes of a city in a frame; vehicles drive, counts are constant."""
 
     def __init__(self, bench: RecorderBench) -> None:
         self._bench = bench
@@ -221,7 +221,7 @@ class _City:
         return (tls for signals in self._regions.values() for tls in signals)
 
     def messages(self, frame: int) -> Iterator[_Published]:
-        """Yields what is published in a frame."""
+        """Yields the messages of a frame."""
         when = {"frame": frame, "sim_time_ns": round(frame * PERIOD_S * 1e9)}
         self._poses[:, :2] += self._random.uniform(-10, 10, (len(self._poses), 2))
         yield from self._world(when)

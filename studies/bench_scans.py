@@ -65,7 +65,7 @@ class Junction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BenchScan:
-    """A scan, and what no codec can save on it: range noise, and which beams were lost by chance.
+    """A scan with its incompressible parts: range noise, and which beams were lost by chance.
 
     `noise_std_m` is that of the range noise; `loss_bits` the entropy of the losses, all beams'.
     """

@@ -1,9 +1,9 @@
 """Sharing without an edge, the baseline of EMP: every agent broadcasts, every vehicle detects.
 
-Each agent sends its whole scan once, over its own uplink, to all; what a vehicle hears comes scan
-after scan over its own downlink, which is as fast. An agent leaves a frame out while what is queued
-on its link takes longer than a frame lasts. Vehicles merge and detect by themselves. Computing is
-measured here, one vehicle after the other, as if each had a computer of its own; links are virtual.
+Each agent sends its whole scan once, over its own uplink, to all; a vehicle receives scan after
+scan over its own downlink, which is as fast. An agent skips a frame while the queue on its link
+takes longer than a frame lasts. Vehicles merge and detect by themselves. Computing is measured
+here, one vehicle after the other, as if each had a computer of its own; links are virtual.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class _Sharing:
         self._visible = visible_vehicles(traffic)
         self._post = rsu_pose(setup.road_map, Terrain(setup.road_map, SceneConfig(), SEED))
         self._setup = setup
-        self._pipelines = {  # each vehicle's own: it remembers whom it trusts
+        self._pipelines = {  # each vehicle's own: it keeps misbehaviour scores
             agent: Pipeline.of(RegionMap.whole(setup.road_map), EdgeConfig(), seed=SEED)
             for agent in self._recording.agents
             if agent != RSU

@@ -1,6 +1,6 @@
 """Recorded traffic to measure uplinks on: a roadside LiDAR and CAVs at the built-in junction.
 
-Casting takes no part in what is measured later, and every policy is shown the same scans.
+Ray casting is not part of later measurements, and every policy gets the same scans.
 """
 
 from __future__ import annotations
@@ -87,12 +87,12 @@ def rsu_pose(road_map: RoadMap, terrain: Terrain) -> SE3:
 
 
 def estimated_sensor(agent: str, truth: Truth, post: SE3) -> SE3:
-    """Returns `map_SE3_sensor` of a recorded agent as it believes; the post knows its own."""
+    """Returns `map_SE3_sensor` of a recorded agent by its own estimate; the post's is exact."""
     return post if agent == RSU else pose_above(_estimated(agent, truth), ROOF_HEIGHT_M)
 
 
 def uploaded_scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> Scan:
-    """Returns the message by which an agent would have uploaded its whole scan of a frame."""
+    """Returns the message that uploads an agent's whole scan of a frame."""
     payload = encode_scan(recording.scan(agent, truth.frame), UploadConfig().max_error_m)
     return Scan(
         frame=truth.frame,
@@ -110,7 +110,7 @@ def uploaded_scan(recording: Recording, agent: str, truth: Truth, post: SE3) -> 
 
 
 def agent_poses(agents: Iterable[str], truth: Truth, setup: Setup) -> list[AgentPose]:
-    """Returns what the CAVs among these agents report of themselves in a frame, sorted by agent."""
+    """Returns the poses that the CAVs among these agents report in a frame, sorted by agent."""
     types = {kind.name: kind for kind in setup.vehicle_types}
     poses = []
     for agent in sorted(set(agents) - {RSU}):

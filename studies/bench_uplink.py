@@ -28,10 +28,10 @@ Visible = Callable[[int], set[str]]
 class UplinkRow(JsonRow):
     """One policy on one link. A figure that the run does not yield is None.
 
-    `fps` are the scans of an agent that the edge used, per second; `whole_fps` the frames of which
-    it had all that it needed: with `reap` not every agent's scan is; `recall_visible` is the share
-    of the vehicles without a radio, seen by all agents together, that the edge detects;
-    `count_error` the mean absolute error of a lane's count, in vehicles.
+    `fps` are the scans of an agent that the edge used, per second; `whole_fps` the complete frames:
+    with `reap` not every agent's scan is needed; `recall_visible` is the share of the vehicles
+    without a radio, seen by all agents together, that the edge detects; `count_error` the mean
+    absolute error of a lane's count, in vehicles.
     """
 
     policy: str
@@ -56,7 +56,7 @@ class RateRow(JsonRow):
 
     @property
     def is_sustained(self) -> bool:
-        """Whether nearly all frames were whole, and no queue grew: EMP's latency was kept."""
+        """Whether nearly all frames were complete, and no queue grew: EMP's latency was kept."""
         mean_ms = self.uplink.latency_ms["mean"]
         whole = (self.uplink.whole_fps or 0.0) / self.rate_hz
         return whole >= SUSTAINED_SHARE and mean_ms is not None and mean_ms <= EMP_LATENCY_MS
@@ -157,7 +157,7 @@ def print_uplink(rows: list[UplinkRow], console: Console) -> None:
 
 
 def print_rates(rows: list[RateRow], console: Console) -> None:
-    """Prints a table of all rates, then how far each policy came."""
+    """Prints a table of all rates, then the highest sustained rate of each policy."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
     for head in ("policy", "frames/s", "whole/s", "scans/s", "mean ms", "p95", "seen %", "kept up"):
         table.add_column(head, justify="left" if head == "policy" else "right")

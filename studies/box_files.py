@@ -1,6 +1,6 @@
 """Detected boxes of a run as files: KITTI's labels, or a table (Parquet).
 
-`NAME.parquet` has a row per box, in the map frame. `NAME.txt` is one file in the form of KITTI's
+`NAME.parquet` has a row per box, in the map frame. `NAME.txt` is one file in the format of KITTI's
 tracking labels (frame, track -1, then the fields of a label and the score), and a name without an
 ending a folder with a file of KITTI's object labels per frame. KITTI's boxes are those of
 `learning.kitti`: in the frame of the sensor, or of the vehicle, turned to a camera's axes.
@@ -29,7 +29,7 @@ _ENDINGS = (".parquet", ".txt", "")
 
 
 def check_boxes(path: Path) -> None:
-    """Refuses a name that boxes cannot be written to.
+    """Checks that boxes can be written to a path.
 
     Raises:
         ConfigError: its ending is unknown, its folder does not exist, or it is a folder with files.
@@ -61,7 +61,7 @@ def _rows_of(run_dir: Path) -> list[DetectionRow]:
 
 
 def write_boxes(run_dir: Path, path: Path, sensor_poses: Floats) -> int:
-    """Writes what was detected in the points of a run; returns how many boxes it were.
+    """Writes the LiDAR detections of a run; returns the number of boxes.
 
     Args:
         run_dir: of the run.

@@ -1,7 +1,7 @@
-"""What coasting tracks add to what sensors see: E-CVPR with and without them, and how many lie.
+"""Effect of coasting tracks: E-CVPR with and without them, and their precision.
 
-Memory must not pass for sight: boxes of vehicles that a sensor saw in the frame, `observed`, are
-judged apart from those of tracks that coast.
+Boxes of vehicles that a sensor saw in the frame, `observed`, are scored separately from those of
+tracks that coast.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`cpnet compare`: what a city's own junctions gain from LiDAR, against tuned timers and loops.
+"""`cpnet compare`: benefit of LiDAR at a user's junctions, against tuned fixed plans and loops.
 
 Fixed plans and actuated control run on SUMO alone, tuned as `cpnet study control` does; max
 pressure and the predictive policy run on what roadside posts, CAVs or both perceive, in a process
@@ -38,9 +38,9 @@ _TUNED: Mapping[str, Sequence[Tuning]] = {
 
 @dataclass(frozen=True, slots=True)
 class Variant(SeedRows):
-    """A way to control the signals: what chooses, from what it sees, and a row for each seed.
+    """A control of the signals: policy, its sensors, and a row for each seed.
 
-    `sight` is empty for what sees nothing but loops; `setting` is what its tuning chose.
+    `sight` is empty without LiDAR; `setting` is the result of its tuning.
     """
 
     sight: str
@@ -48,14 +48,14 @@ class Variant(SeedRows):
 
     @property
     def is_perceived(self) -> bool:
-        """Whether it acts on what LiDARs see."""
+        """Whether it acts on LiDAR perception."""
         return self.sight in (POSTS, CAVS, BOTH)
 
 
 def run_comparison(
     comparison: Comparison, folder: Path, processes: int, report: Report, resolve: Resolve
 ) -> list[Variant]:
-    """Runs what is missing: demand, tuning, baselines, then perception (`STAGES`).
+    """Runs the missing runs: demand, tuning, baselines, then perception (`STAGES`).
 
     Raises:
         ConfigError: a run cannot be made, or no vehicle drives.
@@ -110,7 +110,7 @@ def _baselines(comparison: Comparison) -> ControlStudy:
 def perceived_cases(
     comparison: Comparison, policy: str, sight: str, fence: Tuning | None, resolve: Resolve
 ) -> Iterator[PerceivedCase]:
-    """Yields the runs of a policy that acts on what LiDARs see, one for each seed."""
+    """Yields the runs of a policy that acts on LiDAR perception, one for each seed."""
     asked = comparison.question
     mounts = comparison.posts if sight != CAVS else []
     settings: dict[str, Any] = {

@@ -17,9 +17,9 @@ from studies.compare_question import BOTH, CAVS, POSTS, Comparison, Question
 from studies.control_study import paired
 
 MIN_SEEDS = 5
-"""From which on an interval is given; below, each seed stands for itself."""
+"""Number of seeds from which on an interval is given; below, each seed's value."""
 PROMPT_S = 0.1
-"""Within which a scan is to arrive, for what a LiDAR's link needs."""
+"""Time within which a scan must arrive, for the rate that a LiDAR's link needs."""
 NAMES = {
     PLAN: "the net's own plan",
     WEBSTER: "Webster's fixed plan",
@@ -34,7 +34,7 @@ _MAX_NAMED = 4
 
 
 def name_of(one: Variant) -> str:
-    """Returns what a variant is called in charts."""
+    """Returns the name of a variant in charts."""
     return f"{NAMES[one.policy]}: {one.sight}" if one.sight else NAMES[one.policy]
 
 
@@ -45,11 +45,11 @@ def best_baseline(variants: Sequence[Variant]) -> Variant:
 
 
 def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
-    """Returns what a city wants to know: how much delay, how many posts, what uplink.
+    """Returns the answer for a city in sentences: delay, number of posts, uplink.
 
     It is about the predictive policy, which is chosen beforehand, not about the best of all; max
-    pressure on the same LiDARs stands beside it. What makes it a direction only comes first, an
-    approach that loses by it last.
+    pressure on the same LiDARs is given beside it. Caveats come first, an approach that loses by it
+    last.
     """
     plan, baseline = variants[0], best_baseline(variants)
     found = {one.sight: one for one in variants if one.is_perceived and one.policy == PREDICTIVE}
@@ -76,11 +76,11 @@ def answer(comparison: Comparison, variants: Sequence[Variant]) -> str:
 
 
 def caveat(asked: Question, vehicles: float) -> str:
-    """Returns why the answer is a direction only, as far as it is; else nothing.
+    """Returns why the answer is only indicative; empty if it is not.
 
     Args:
         asked: seeds, duration and tuning.
-        vehicles: of the run that had least.
+        vehicles: of the run with the fewest.
     """
     is_untuned, are_few = asked.tuning_s == 0, vehicles < _MIN_VEHICLES
     seeds, duration_s = len(asked.seeds), asked.duration_s
@@ -132,7 +132,7 @@ def mean_of(values: Sequence[float | None]) -> float | None:
 
 
 def link_mbps(one: Variant, time_s: float) -> float | None:
-    """Returns the rate at which a LiDAR's largest scan is there within a time."""
+    """Returns the rate at which a LiDAR's largest scan arrives within a time."""
     largest_kb = one.greatest("scan_peak_kb")
     return None if largest_kb is None else largest_kb * 8e-3 / time_s
 

@@ -1,4 +1,4 @@
-"""Files that `cpnet compare` is given: what can be refused at once, by the option that named it."""
+"""Early checks of the files given to `cpnet compare`, by the option that named them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _ROOTS = {
     "routes": ("route file", "--net with --routes"),
     "configuration": ("sumocfg", "--sumocfg"),
 }
-"""What a file is, and the option that takes it, by its first element."""
+"""Kind of a file, and the option that takes it, by its first element."""
 _TAKEN = {"--net": "net", "--sumocfg": "configuration", "--routes": "routes"}
 _DRIVING = ("vehicle", "trip", "flow")
 _MOST_A_SECOND = 2.0  # vehicles of one flow: more than two lanes of a motorway carry
@@ -48,7 +48,7 @@ def check_contents(files: Files) -> None:
 
 
 def check_flows(path: Path, until_s: float) -> None:
-    """Refuses flows of a route file that cannot be meant: another unit, or over before the run is.
+    """Refuses implausible flows of a route file: another unit, or over before the run is.
 
     Raises:
         ConfigError: a flow has more vehicles a second than a road carries, or all flows, and there
@@ -84,7 +84,7 @@ def _check_rate(path: Path, flow: ElementTree.Element) -> None:
 def _number(text: str | None) -> float | None:
     try:
         return None if text is None else float(text)
-    except ValueError:  # a time as SUMO writes it for people
+    except ValueError:  # a time as SUMO writes it for people, h:m:s
         return None
 
 

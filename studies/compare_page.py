@@ -106,7 +106,7 @@ def _spread(one: Variant) -> str:
 
 
 def seen_table(comparison: Comparison, variants: Sequence[Variant]) -> Table:
-    """Returns what was seen, and what it took to upload."""
+    """Returns a table of the share of vehicles seen, and the upload that it took."""
     rows = tuple(
         (
             NAMES[one.policy],

@@ -1,4 +1,4 @@
-"""What `cpnet compare` is asked: roads, demand, signals, and who sees the vehicles."""
+"""Input of `cpnet compare`: roads, demand, signals, sensors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _RULED = {
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What the user asks for.
+    """Options of `cpnet compare`.
 
     Attributes:
         net, sumocfg, routes: files of SUMO; a sumocfg names its own net.
@@ -67,7 +67,7 @@ class Question:
     settings: Mapping[str, Any] | None = None
 
     def check(self) -> None:
-        """Checks what can be known without reading a file.
+        """Checks the options without reading a file.
 
         Raises:
             ConfigError: options contradict each other, or there is no net or no demand.
@@ -145,7 +145,7 @@ def _advice(net: Path | None, tls: str | list[str] | None) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """What is run: the roads with their demand as one sumocfg, and where posts stand."""
+    """A prepared comparison: roads with their demand as one sumocfg, and positions of posts."""
 
     question: Question
     name: str
@@ -155,14 +155,14 @@ class Comparison:
 
     @property
     def sights(self) -> list[str]:
-        """What perception is compared with: posts, CAVs, both, as far as there are any."""
+        """The kinds of sensors to compare: posts, CAVs, both, as far as there are any."""
         found = [POSTS] if self.posts else []
         found += [CAVS] if self.question.cav_rate > 0 else []
         return [*found, BOTH] if len(found) == 2 else found
 
     @property
     def lead_sight(self) -> str:
-        """What the answer's sentence is about: posts where there are any."""
+        """The kind of sensors that the answer is about: posts where there are any."""
         return self.sights[0]
 
 
@@ -170,7 +170,7 @@ def prepare(question: Question, folder: Path, name: str, resolve: Resolve) -> Co
     """Reads the net, and writes roads and demand as one sumocfg into a folder.
 
     Raises:
-        ConfigError: the question contradicts itself, a file is wrong, a signal is unknown.
+        ConfigError: options contradict each other, a file is wrong, a signal is unknown.
     """
     question.check()
     check_contents(question.files)

@@ -18,7 +18,7 @@ from studies.summary import Summary, summarise
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A figure of a run's summary: how it is called, where it is, in which unit and digits."""
+    """A figure of a run's summary: its name, its path, unit and digits."""
 
     name: str
     unit: str

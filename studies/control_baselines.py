@@ -1,6 +1,6 @@
-"""Baselines of `cpnet bench control`: Webster's fixed plan, kinds of max pressure, what to tune.
+"""Baselines of `cpnet bench control`: Webster's fixed plan, kinds of max pressure, tunings.
 
-Each is a `SignalPolicy`, made as a plug-in is; SUMO's own programs are told by their parameters.
+Each is a `SignalPolicy`, made as a plug-in is; SUMO's own programs are set by their parameters.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def webster_signal(
         plan.append(PlanPhase(duration_s=round(green_s), state=green))
         if (
             "y" in losing
-        ):  # yellow and all-red in one: what stays green in it is no green to ask for
+        ):  # yellow and all-red in one: what stays green in it is no green to request
             plan.append(PlanPhase(duration_s=change_s, state=losing))
     return signal.model_copy(update={"plan": plan})
 
@@ -95,7 +95,7 @@ def webster(
 
 
 class WeightedPressure:
-    """Max pressure whose vehicles weigh by where they are or by how long they have waited.
+    """Weighted max pressure: vehicles weigh by position or by waiting time.
 
     `wave`: a vehicle before the stop bar, queued or approaching, weighs 1, one behind it nothing
     (MAXWAVE of Ault and Sharon 2021). `position`: a vehicle weighs 1 at the stop bar and 0 at the
@@ -156,7 +156,7 @@ class WeightedPressure:
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """One choice of what the advocate of a baseline would set.
+    """One set of parameters that an advocate of a baseline would try.
 
     Attributes:
         text: what is set, for a table.
@@ -179,7 +179,7 @@ PRESSURES = {
     "delay_pressure": "delay",
     "max_wave": "wave",
 }
-"""What a vehicle weighs by, of each kind of max pressure."""
+"""The weight of a vehicle, by kind of max pressure."""
 SUMO_TYPES = {"actuated": 3, "delay_based": 5}
 """SUMO's own kinds of control, by SUMO's numbers."""
 OWN_SETTINGS: Mapping[str, tuple[str, ...]] = {
@@ -188,7 +188,7 @@ OWN_SETTINGS: Mapping[str, tuple[str, ...]] = {
     "delay_based": ("minTimeLoss", "detectorRange"),
     **dict.fromkeys(PRESSURES, ("hold_s",)),
 }
-"""What each baseline may be told: SUMO's programs by SUMO's own names of parameters."""
+"""Parameters of each baseline; those of SUMO's programs by SUMO's names."""
 
 
 def _fence(upstream_m: float, downstream_m: float, hold_s: float = 0.0) -> Tuning:
@@ -244,4 +244,4 @@ TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
     ),
     **dict.fromkeys(PRESSURES, _FENCES),
 }
-"""What is tried for each baseline; the first is the default. Others are as they are."""
+"""Parameters that are tried for each baseline; the first is the default. Others are not tuned."""

@@ -41,8 +41,8 @@ class ControlCase:
         downstream_m: how far behind them they count.
         settings: of the scenario's section `signal`.
         cabinet: its section `cabinet`.
-        reporting: share of the vehicles that are known; with less than all of them, no policy is
-            told of any lane that it is covered.
+        reporting: share of the vehicles that are known; with less than all of them, the coverage of
+            all lanes is unknown to policies.
         own: of a baseline, see `OWN_SETTINGS`.
         flows_vph: by lane before a stop bar, for `webster`.
         warmup_s: on the net's own plan, before the policy and all measures begin.
@@ -65,7 +65,7 @@ class ControlCase:
     junctions: tuple[str, ...] = ()
 
     def tuned(self, tuning: Tuning) -> ControlCase:
-        """Returns the case with what the advocate of its policy sets."""
+        """Returns the case with a tuning of its policy."""
         upstream_m, downstream_m = tuning.upstream_m, tuning.downstream_m
         return replace(
             self,
@@ -107,13 +107,13 @@ def _own_traffic(case: ControlCase) -> dict[str, Any]:
 
 
 _PEAKS = {"north_in": (0.75, 2.2), "": (0.25, 1.0)}
-"""By the edge that vehicles come from, else of all: when in the run its peak is, and how high."""
+"""Peak of the demand, by the edge that vehicles come from, else of all: its time and height."""
 _BASE, _PEAK_WIDTH = 0.6, 0.13  # demand far from a peak; its standard deviation, of the run
 _SLICES = 24
 
 
 def _move_peak(routes: Path, duration_s: int) -> None:
-    """Lets the demand peak on the main road early in the run, and late on the side road."""
+    """Makes the demand peak on the main road early in the run, and late on the side road."""
     tree = ElementTree.parse(routes)
     root = tree.getroot()
     slices: list[ElementTree.Element] = []

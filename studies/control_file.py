@@ -19,8 +19,8 @@ BENCH = "control"
 NETS = ("t_junction", "moving_peak", *NETWORKS)
 """Nets that are built in.
 
-`moving_peak` is `t_junction` with a demand that no timer fits. Of nets with several signals the
-busiest approach has 80 % of what its fixed plan can serve.
+`moving_peak` is `t_junction` with a demand that no fixed plan fits. Of nets with several signals
+the busiest approach has 80 % of what its fixed plan can serve.
 """
 
 
@@ -52,7 +52,7 @@ class ControlStudy(Section):
     tuning_duration_s: int = Field(1200, ge=60, le=86400, description="of each run for tuning")
 
     def check(self) -> None:
-        """Checks what no field can know alone.
+        """Checks that span several fields.
 
         Raises:
             ConfigError: seeds overlap, the studied policy is none of those, a folder has factors.
@@ -83,7 +83,7 @@ def read_control_study(path: Path, changes: Mapping[str, Any]) -> ControlStudy |
     try:
         data = yaml.safe_load(path.read_text("utf-8"))
     except (OSError, yaml.YAMLError, ValueError):
-        return None  # whoever reads studies of other kinds says why
+        return None  # the reader of other kinds of studies raises the error
     if not isinstance(data, dict) or data.get("bench") != BENCH:
         return None
     unknown = sorted(set(changes) - set(ControlStudy.model_fields))

@@ -1,4 +1,4 @@
-"""A run of SUMO alone with a policy and a cabinet at each signal, which know perfect positions."""
+"""A run of SUMO alone with a policy and a cabinet at each signal, on perfect positions."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ from studies.control_case import OWN_PLAN, PROGRAM, WEBSTER, ControlCase, roads_
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
 _STATIONARY_MPS = 0.5
-_SETTLED_S = 300  # from when on estimates are judged
-_QUEUED_MPS = 1.0  # who has been slower before the stop bar queues until he has passed it
+_SETTLED_S = 300  # from when on estimates are scored
+_QUEUED_MPS = 1.0  # one that was slower before the stop bar queues until it has passed it
 
 
 @dataclass(frozen=True, slots=True)
 class ControlRow(JsonRow):
-    """What a run gave; times in s, of all vehicles. `waited_s` is the longest wait in one go.
+    """Results of a run; times in s, of all vehicles. `waited_s` is the longest wait in one go.
 
-    `reporting` is the share of the vehicles that cpnet's policies knew of (fixed plans and SUMO's
-    own control do without); `stops` and `co2_g` (by SUMO's emission model) are means of the
+    `reporting` is the share of the vehicles that cpnet's policies knew of (unused by fixed plans
+    and SUMO's own control); `stops` and `co2_g` (by SUMO's emission model) are means of the
     vehicles.
 
     Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error in
@@ -188,7 +188,7 @@ class ControlRun:
         return found
 
     def _take_over(self, signal: Signal) -> bool:
-        """Leaves a signal to SUMO's own control once it shows a green, from which that goes on.
+        """Leaves a signal to SUMO's own control once it shows a green, from which SUMO continues.
 
         At any other moment the program would begin with another state, without yellow between.
         """
@@ -230,7 +230,7 @@ class _Controller:
         self._approaches = Approaches(site.road_map, site.road_map.by_tls[self.tls])
 
     def decide(self, frame: int, now_ns: int, truth: _Truth) -> int:
-        """Requests what the policy decides; returns the time that took, in ns."""
+        """Requests the policy's decision; returns the time that it took, in ns."""
         self.cabinet.advance(now_ns)
         shown = self.cabinet.spat(frame, now_ns)
         counts = self._counts(frame, now_ns, truth)
@@ -250,7 +250,7 @@ class _Controller:
         return taken_ns
 
     def queue_errors(self, truth: _Truth) -> list[tuple[float, bool]]:
-        """Returns how far off each estimated queue is, and whether its interval holds it."""
+        """Returns the error of each estimated queue, and whether its interval is right."""
         queues = self._policy.planner.queues if isinstance(self._policy, Predictive) else None
         if queues is None or queues.is_seen.all():
             return []
@@ -298,7 +298,7 @@ class _Controller:
 
 
 class _Truth:
-    """Where all vehicles are that somebody may know of, read once a decision.
+    """True positions of the vehicles that policies may know of, read once a decision.
 
     `rows` are lane, metres along it and speed in m/s, in the order of `vehicles`: those that are
     known of `all`. `queued` are the names of those that have stood before a stop bar.
@@ -355,7 +355,7 @@ class _Truth:
 
 
 def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
-    """Returns what controls the signals; nothing where SUMO's own programs do."""
+    """Returns the controllers of the signals; none where SUMO's own programs control."""
     if case.policy == OWN_PLAN or case.policy in SUMO_TYPES:
         return []
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))

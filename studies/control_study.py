@@ -2,7 +2,7 @@
 
 Each baseline is tuned for each net and demand as its advocate would, on seeds apart from those that
 are reported; then all policies drive the same traffic, seed by seed. Each run is kept at once: the
-same command goes on with what is left.
+same command resumes with the remaining runs.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _OWN_CODE = (
 _CONFIDENCE = 0.95
 Row = dict[str, Any]
 Report = Callable[[int, int, str], None]
-"""Receives how many runs are done, of how many, and which was the last, if one was."""
+"""Receives the number of runs done, of all, and the title of the last one, if any."""
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """A net at a demand: what policies are compared on."""
+    """A net at a demand, on which policies are compared."""
 
     net: str
     demand: float
@@ -66,10 +66,10 @@ class Case(Protocol):
 
     @property
     def title(self) -> str:
-        """What the run is called while it runs."""
+        """Name of the run in the progress display."""
 
     def identity(self) -> dict[str, Any]:
-        """Returns all that decides the run's figures, as JSON has it."""
+        """Returns everything that determines the run's figures, as JSON values."""
 
 
 C = TypeVar("C", bound=Case)
@@ -100,7 +100,7 @@ class BenchCase:
 
 
 class CaseStore:
-    """The runs of a folder, each a file that is named by its case and the code that ran it."""
+    """Stored runs of a folder, each a file that is named by a hash of its case and the code."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / "cases"
@@ -118,10 +118,10 @@ class CaseStore:
             work: a function of a module, which runs a case.
             cases: equal ones run once.
             processes: runs at a time, each in a process of its own as SUMO keeps state.
-            report: told of each run, and before the first.
+            report: called after each run, and before the first.
 
         Raises:
-            ConfigError: a net or a policy is none, or a run's process was killed.
+            ConfigError: a net or a policy is invalid, or a run's process was killed.
         """
         paths = [self._path(work.__name__, case) for case in cases]
         todo = {path: case for path, case in zip(paths, cases, strict=True) if _read(path) is None}
@@ -174,7 +174,7 @@ def _code() -> list[str]:
 
 
 def file_digest(path: Path) -> str:
-    """Returns a hash of what a file holds."""
+    """Returns a hash of a file's contents."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -207,7 +207,7 @@ class SeedRows:
 
 @dataclass(frozen=True, slots=True)
 class PolicyResult(SeedRows):
-    """A policy in a group; `tuning` is what its tuning set, if it has any."""
+    """A policy in a group; `tuning` is the chosen tuning, if it has any."""
 
     group: Group
     tuning: Tuning | None
@@ -220,17 +220,17 @@ def run_control_study(
     report: Report,
     tunings: Mapping[str, Sequence[Tuning]] = TUNINGS,
 ) -> list[PolicyResult]:
-    """Tunes, then runs everything that is not done yet.
+    """Tunes, then runs all missing cases.
 
     Args:
         study: what to run.
         folder: of the results.
         processes: runs at a time.
-        report: told of each run.
-        tunings: what is tried for each policy.
+        report: called after each run.
+        tunings: the tunings that are tried for each policy.
 
     Raises:
-        ConfigError: a net or a policy is none.
+        ConfigError: a net or a policy is invalid.
     """
     store = CaseStore(folder)
     groups = groups_of_study(study)
@@ -254,7 +254,7 @@ Tunings = dict[tuple[Group, str], Tuning]
 def _flows(
     study: ControlStudy, groups: list[Group], store: CaseStore, processes: int, report: Report
 ) -> Flows:
-    """Returns the demand that timers are told, by group: as it flowed with a seed for tuning."""
+    """Returns the flows that fixed plans are made for, by group, from a seed for tuning."""
     if WEBSTER not in study.policies:
         return {}
     seed = (study.tuning_seeds or study.seeds)[0]
@@ -271,7 +271,7 @@ def _tuned(
     report: Report,
     tunings: Mapping[str, Sequence[Tuning]],
 ) -> Tunings:
-    """Returns what gives each baseline the least mean delay, over the seeds for tuning."""
+    """Returns the tuning of least mean delay for each baseline, over the seeds for tuning."""
     if not study.tuning_seeds:
         report(0, 0, "")
         return {}
@@ -327,7 +327,7 @@ class Difference:
 
 
 def paired(values: Sequence[float], others: Sequence[float]) -> Difference:
-    """Returns how far values lie above others, pair by pair, by Student's t."""
+    """Returns the mean paired difference of values, with its interval by Student's t."""
     differences = [a - b for a, b in zip(values, others, strict=True)]
     n = len(differences)
     if n < 2:
@@ -343,7 +343,7 @@ _MEANS = (
 
 
 def summaries(study: ControlStudy, results: Iterable[PolicyResult]) -> list[Row]:
-    """Returns a row for each group and policy, with what the studied policy takes off its delay."""
+    """Returns a row for each group and policy, with its delay minus the studied policy's."""
     results = list(results)
     studied = {one.group: one for one in results if one.policy == study.studied}
     found = []

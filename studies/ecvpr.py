@@ -1,4 +1,4 @@
-"""E-CVPR: the penetration rate of connected vehicles that perception is worth.
+"""E-CVPR, the equivalent penetration rate of connected vehicles: matching, bounds, scores.
 
 Chen et al. 2022: in each frame, the true detections over the vehicles present within 200 m upstream
 and 100 m downstream of the stop bar. From top to bottom: where vehicles count, how detections are
@@ -146,7 +146,7 @@ VISIBLE_POINTS = 5  # ours: in the scans of all agents together
 
 
 class PerceptionBounds:
-    """The vehicles that perception could detect at best, frame by frame in rising order.
+    """Upper bounds of perception: detectable vehicles, frame by frame in rising order.
 
     A vehicle that reports itself is visible and in range: the edge knows of it without a LiDAR.
     """
@@ -213,8 +213,8 @@ class FrameScore:
     """One frame: vehicles present, those of them that were detected, false detections.
 
     `visible` of those present could have been detected, as LiDAR points lay on them or they report
-    themselves; `in_range` were near enough to a LiDAR for that, or report themselves. `present_at`
-    and `true_at` are the parts on each signal's lanes.
+    themselves; `in_range` were within the range of a LiDAR, or report themselves. `present_at` and
+    `true_at` are the parts on each signal's lanes.
     """
 
     frame: int
@@ -233,12 +233,12 @@ class FrameScore:
 
     @property
     def visible_share(self) -> float | None:
-        """The share that is visible: what detection alone hardly exceeds; coasting tracks may."""
+        """The visible share: a bound that detection alone hardly exceeds; coasting tracks may."""
         return self._share(self.visible)
 
     @property
     def in_range_share(self) -> float | None:
-        """The share in range: what no occlusion would leave."""
+        """The share in range: the bound without occlusion."""
         return self._share(self.in_range)
 
     def _share(self, vehicles: int) -> float | None:
@@ -276,7 +276,7 @@ def score(
 def parked_bodies(setup: Setup) -> list[TruthRow]:
     """Returns a setup's parked cars as if they were in the truth of a frame.
 
-    What is detected there is no false detection, nor is it a vehicle in traffic.
+    Detections of them are neither false nor vehicles in traffic.
     """
     return [
         TruthRow(-1, car.vehicle, car.type, Equipment.NONE, *car[2:], 0.0, "", 0.0)
@@ -285,7 +285,7 @@ def parked_bodies(setup: Setup) -> list[TruthRow]:
 
 
 def vehicles_of(detections: list[DetectionRow]) -> list[DetectionRow]:
-    """Returns those that are vehicles: people are neither true nor false among them."""
+    """Returns the detections that are vehicles: people count neither as true nor as false."""
     return [one for one in detections if one.object_class != ObjectClass.PEDESTRIAN]
 
 
@@ -356,7 +356,7 @@ def _found_and_false(
     types: dict[str, VehicleType],
     margin_m: float,
 ) -> tuple[set[str], list[DetectionRow]]:
-    """Matches vehicles in traffic first; what is left may be a parked car, never a pedestrian."""
+    """Matches vehicles in traffic first; the rest may be a parked car, never a pedestrian."""
     reporting = {detection.source for detection in detections}
     others = [vehicle for vehicle in vehicles if vehicle.vehicle not in reporting]
     names = {vehicle.vehicle for vehicle in vehicles}

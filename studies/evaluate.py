@@ -1,4 +1,4 @@
-"""Detectors beside the truth, as in Table 1 of Chen et al. 2022: single scans, merged clouds.
+"""Evaluation of detectors as in Table 1 of Chen et al. 2022: single scans, merged clouds.
 
 Of merged clouds there are two kinds: detection in all points together (early fusion), and in each
 scan alone, duplicates removed afterwards (late fusion). A scene is a square around the sensor, or
@@ -42,7 +42,7 @@ from studies.ecvpr import VISIBLE_POINTS
 
 Truth = Literal["all", "visible"]
 Kind = tuple[Literal["single", "merged"], Literal["none", "early", "late"]]
-Timed = tuple[Vehicles, float]  # what was found, and in how many ms
+Timed = tuple[Vehicles, float]  # detections, and their time in ms
 
 RANGE_M = 80.0  # of x and y, as the paper's PointPillars
 CUT_M = 90.0  # points are given so far, so that a vehicle at the border is whole
@@ -60,18 +60,18 @@ OBJECTS = {
     VEHICLE: (ObjectClass.CAR, ObjectClass.TRUCK, ObjectClass.TWO_WHEELER),
     **{one.name.lower(): (one,) for one in ObjectClass},
 }
-"""What is asked for, and the classes that it comprises."""
+"""Objects that can be evaluated, and the classes that they comprise."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvalRow(JsonRow):
-    """AP40, recall and precision of a detector under one way of counting.
+    """AP40, recall and precision of a detector for one kind of objects, cloud and view.
 
-    `part` is `all`, a range of distances or one of points on the vehicle; of points there is
-    recall only, because a false detection has none. `detect_ms` is the median time of a cloud.
-    `objects` are `vehicle`, whatever the detector calls them, or a class: then detections and truth
-    of that class alone count. `ap40_half` is half of AP40's 95 % interval over networks
-    (jackknife); None for parts, or with fewer than three networks.
+    `part` is `all`, a range of distances or one of points on the vehicle; of points there is recall
+    only, because a false detection has none. `detect_ms` is the median time of a cloud. `objects`
+    are `vehicle`, of whatever detected class, or a class: then detections and truth of that class
+    alone count. `ap40_half` is half of AP40's 95 % interval over networks (jackknife); None for
+    parts, or with fewer than three networks.
     """
 
     detector: str
@@ -121,7 +121,7 @@ BY_POINTS = (
 class ScoredScene:
     """A scene's detections beside its vehicles: (N,) as they were given, (M,) of the truth.
 
-    Distances are those from the scene's middle; infinite for what does not count.
+    Distances are those from the scene's middle; infinite for those that do not count.
     """
 
     network: str
@@ -147,11 +147,11 @@ class ScoredScene:
 
 @dataclass(frozen=True, slots=True)
 class SampleDetections:
-    """What a detector finds at a sample.
+    """Detections of a detector at a sample.
 
     In each scan alone, in the order of the scans; in all points together (early fusion); and in
-    each scan alone, duplicates removed (late fusion). But for the last, boxes are listed whose
-    score is too low to be taken for vehicles.
+    each scan alone, duplicates removed (late fusion). All but the last include boxes whose score is
+    too low for a vehicle.
     """
 
     singles: list[Timed]
@@ -179,7 +179,7 @@ class Site:
         return Roadway.of(self.road_map, margin_m=_WIDE_M)
 
     def roadway(self, *, geofence: bool) -> Roadway:
-        """Returns what points are placed on."""
+        """Returns the raster on which points are placed."""
         return self._fenced if geofence else self._wide
 
     def detector(self, name: DetectorName, *, geofence: bool) -> Detector:
@@ -222,7 +222,7 @@ def evaluate(
     """Returns all rows of these detectors, with and without the geofence.
 
     Raises:
-        ConfigError: a detector cannot be had here.
+        ConfigError: a detector is not available here.
     """
     judged: dict[tuple[str, bool, Kind, str], list[ScoredScene]] = {}
     least: dict[str, float] = {}
@@ -281,7 +281,7 @@ def score_sample(
 def _scored(
     sample: SceneSample, found: Timed, map_SE3_scene: SE3, seen: tuple[Ints, Bools], objects: str
 ) -> ScoredScene:
-    """Compares detections with the truth, of some classes; `seen` are points and what counts."""
+    """Compares detections with the truth, of some classes; `seen` are points on vehicles."""
     vehicles, took_ms = found
     detected = vehicles.take(np.isin(vehicles.classes, OBJECTS[objects]))
     asked = np.isin(sample.classes, OBJECTS[objects])
@@ -340,7 +340,7 @@ def rows_of(
 
 @dataclass(frozen=True, slots=True)
 class _Tally:
-    """Scenes, what became of their detections, and how many objects each has to be found."""
+    """Scenes, the outcomes of their detections, and how many objects each has to be found."""
 
     scenes: list[ScoredScene]
     found: list[Outcomes]

@@ -1,4 +1,4 @@
-"""What `cpnet eval` prints: AP40 by view and by class, recall by distance and by points."""
+"""Tables of `cpnet eval`: AP40 by view and by class, recall by distance and by points."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def print_evaluation(rows: list[EvalRow], console: Console) -> None:
 def print_kitti(rows: list[EvalRow], console: Console) -> None:
     """Prints AP40 by object and level of difficulty, of files with labels in KITTI's form.
 
-    Levels are left out where nothing told which labels are hard.
+    Levels are left out where labels have no difficulty.
     """
     seen = [row for row in rows if row.truth == "visible"]
     for detector in dict.fromkeys(row.detector for row in seen):

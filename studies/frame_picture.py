@@ -38,7 +38,7 @@ def draw_plan(axes: Axes, snapshot: Snapshot, colours: dict[str, str], aspect: f
 
 
 def _window(road_map: RoadMap, aspect: float) -> tuple[Floats, Floats]:
-    """Returns the corners of the smallest picture with all road near the centre, and a verge."""
+    """Returns the corners of the smallest window with all roads near the centre, and a margin."""
     points = np.concatenate([resampled(lane.points[:, :2]) for lane in road_map.lanes])
     centre = np.array(road_map.centre[:2])
     near = points[np.abs(points - centre).max(axis=1) <= _SHOWN_M]

@@ -3,8 +3,8 @@
 Without a network and other processes to wait for, one core runs much faster than real time, which
 studies of many runs need. SUMO's state is global, so one run at a time.
 
-`perceived_frames` pauses each frame between perception and control, for programs that look on or
-decide for themselves.
+`perceived_frames` pauses each frame between perception and control, for programs that observe or
+control.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class _RoleSlot:
         return self._context.stop.is_set()
 
     def turn(self) -> bool:
-        """Delivers waiting messages and polls the role; tells whether there were any."""
+        """Delivers waiting messages and polls the role; returns whether there were any."""
         delivered, inbox = 0, self._context.inbox
         while delivered < MAX_BATCH and (item := inbox.get()) is not None:
             deliver(self._role, inbox, item)
@@ -66,7 +66,7 @@ class _RoleSlot:
         return delivered > 0
 
     def wait(self) -> None:
-        """Waits until something comes in, such as from threads of the role, or for `IDLE_S`."""
+        """Waits for a message, such as from threads of the role, or for `IDLE_S`."""
         if (item := self._context.inbox.get(IDLE_S)) is not None:
             deliver(self._role, self._context.inbox, item)
 
@@ -94,7 +94,7 @@ def run_in_process(scenario: dict[str, Any], run_dir: Path) -> None:
 
 
 def run_setup_in_process(setup: Setup, run_dir: Path) -> None:
-    """Runs what a setup describes, a recording too.
+    """Runs a setup, also a replay.
 
     Raises:
         ConfigError: the scenario cannot be run.
@@ -105,9 +105,9 @@ def run_setup_in_process(setup: Setup, run_dir: Path) -> None:
 
 
 def perceived_frames(setup: Setup, run_dir: Path) -> Iterator[SimulatedFrame]:
-    """Runs what a setup describes; yields each frame once it is perceived, before signals decide.
+    """Runs a setup; yields each frame after perception, before signals decide.
 
-    A policy of this program is asked only after that. When the iterator is closed, the run ends.
+    A policy of this program decides only after that. When the iterator is closed, the run ends.
 
     Raises:
         ConfigError: the scenario cannot be run.
@@ -139,7 +139,7 @@ def _frames(
 
 @contextmanager
 def _the_only_run() -> Iterator[None]:
-    """Guards SUMO's state, of which a process has one.
+    """Context manager that guards SUMO's state, of which a process has one.
 
     Raises:
         ConfigError: another run of this process has not ended.
@@ -156,7 +156,7 @@ def _the_only_run() -> Iterator[None]:
 
 
 def _role_builders(scenario: dict[str, Any]) -> tuple[Builder, list[tuple[str, Builder]]]:
-    """Returns what makes the world's role, and the others' by their ids."""
+    """Returns the builders of the world's role, and of the others by their ids."""
     world: Builder = SimRole.build
     infra: Builder = InfraRole
     vehicle: Builder = VehicleRole
@@ -238,7 +238,7 @@ def _run_until_done(
 
 
 def _take_turns(slots: list[_RoleSlot], sim: _RoleSlot) -> bool:
-    """Gives each role a turn and closes those that are done; tells whether there were messages."""
+    """Gives each role a turn, closes those that are done; returns whether messages came."""
     moved = False
     for slot in slots:
         if slot.is_closed:

@@ -1,9 +1,9 @@
-"""Detectors on files with labels in KITTI's form, counted as KITTI's evaluation counts.
+"""Evaluation of detectors on files with labels in KITTI's format, by KITTI's rules.
 
-Of a class asked for, what is alike (vans for cars, people who sit for people) is neither right nor
-wrong. Nor is a detection of which half or more, in the image, lies in a region DontCare, one on a
-box DontCare, or one out of the image, where nothing is labelled. What is harder than the level
-asked for, or beyond the range, need not be found.
+Detections of similar classes (vans for cars, sitting people for people) count neither as true nor
+as false. Neither does a detection of which half or more, in the image, lies in a region DontCare,
+one on a box DontCare, or one out of the image, where nothing is labelled. Labels harder than the
+given level, or beyond the range, need not be found.
 
 There is no map: the ground around the sensor is the road.
 """
@@ -37,7 +37,7 @@ _KINDS = {
     "two_wheeler": (("Cyclist",), (DONT_CARE,)),
     "pedestrian": (("Pedestrian",), ("Person_sitting", DONT_CARE)),
 }
-"""By object asked for: KITTI's kinds that must be found, and those that are neither."""
+"""By evaluated object: KITTI's types that must be found, and similar ones, which are ignored."""
 _LEVELS = {"easy": (40.0, 0, 0.15), "moderate": (25.0, 1, 0.3), "hard": (25.0, 2, 0.5)}
 """Least height in the image in pixels, most occlusion, most truncation."""
 LEVELS = (EVERYTHING, *_LEVELS)
@@ -49,8 +49,8 @@ _OWN_M = (2.75, 1.25)  # half of the carrying vehicle's length and width
 class JudgedFrame:
     """A frame's detections (N,) beside its labels with boxes (M,), and the points in these (M,).
 
-    Of a learned detector, detections are listed down to a score that is none of a vehicle; from
-    `least_score` on they are.
+    Of a learned detector, detections are listed down to scores too low for a vehicle; from
+    `least_score` on they count.
     """
 
     frame: KittiFrame
@@ -70,7 +70,7 @@ def evaluate_kitti(
     """Returns rows of these detectors, for objects and levels of difficulty.
 
     Raises:
-        ConfigError: a cloud cannot be read, or a detector cannot be had here.
+        ConfigError: a cloud cannot be read, or a detector is not available here.
     """
     judged: dict[DetectorName, list[JudgedFrame]] = {name: [] for name in detectors}
     for number, frame in enumerate(frames):
@@ -86,10 +86,10 @@ def judge(
     range_m: float,
     seed: int = 0,
 ) -> dict[DetectorName, JudgedFrame]:
-    """Detects in a frame; what is found on the vehicle that carries the sensor is left out.
+    """Detects in a frame; detections on the vehicle that carries the sensor are left out.
 
     Raises:
-        ConfigError: the cloud cannot be read, or a detector cannot be had here.
+        ConfigError: the cloud cannot be read, or a detector is not available here.
     """
     config = config.model_copy(update={"solid_only": True})  # as a replay without a road map
     cloud = read_points(frame.cloud)
@@ -191,7 +191,7 @@ def _compared(one: JudgedFrame, objects: str, level: str, range_m: float) -> _Co
 
 
 def _is_of(label: KittiObject, level: str) -> bool:
-    """Whether a label is as easy as a level asks; what nobody told makes it no harder."""
+    """Whether a label is within a level of difficulty; unknown values make it no harder."""
     if level not in _LEVELS:
         return True
     least_px, most_occluded, most_truncated = _LEVELS[level]
@@ -201,7 +201,7 @@ def _is_of(label: KittiObject, level: str) -> bool:
 
 
 def _not_cared_for(image: Floats, objects: Sequence[KittiObject]) -> Bools:
-    """Marks detections (N, 4) of which half or more lies in a region that nobody cares for."""
+    """Marks detections (N, 4) of which half or more lies in a region DontCare."""
     result = np.zeros(len(image), np.bool_)
     area = np.prod(image[:, 2:] - image[:, :2], axis=1)
     for label in objects:

@@ -1,6 +1,6 @@
 """Boxes in the text files of KITTI's tracking benchmark: a file a sequence, a line a box.
 
-Two forms are read, words separated by spaces or commas:
+Two formats are read, words separated by spaces or commas:
 
 - labels and results, 17 or 18 words: frame, id, type, truncation, occlusion, alpha, the box in the
   image (left, top, right, bottom in px), height, width, length, x, y, z of the middle of the

@@ -1,7 +1,7 @@
 """Tracks detections in KITTI's format, and scores tracks in it against labels.
 
-Nothing is known of the road: vehicles move at a constant turn rate, in the frame of the car's
-poses if there are any, else in that of its camera.
+Without a road map, vehicles move at a constant turn rate, in the frame of the car's poses if there
+are any, else in that of its camera.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ CLASSES = {
     "Pedestrian": ObjectClass.PEDESTRIAN,
     "Person": ObjectClass.PEDESTRIAN,
 }
-"""What KITTI's types are to the tracker; any other one is a car."""
+"""The tracker's class of KITTI's types; any other one is a car."""
 _CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # x forward from camera
 _MATRIX_WORDS = 12
 
@@ -136,7 +136,7 @@ def _moved(boxes: Floats, dst_SE3_src: SE3) -> Floats:
 def _remember(
     images: dict[int, Floats], ids: list[int], tracks: Floats, seen: Floats, of_seen: Floats
 ) -> None:
-    """Gives tracks the image boxes of the detections nearest to them."""
+    """Assigns tracks the image boxes of the detections nearest to them."""
     if not len(seen):
         return
     apart_m = np.linalg.norm(tracks[:, None, :2] - seen[None, :, :2], axis=2)
@@ -150,7 +150,7 @@ def _images(images: dict[int, Floats], ids: list[int]) -> Floats:
 
 
 def _sorted(parts: list[KittiBoxes]) -> KittiBoxes:
-    """Returns parts as one, by frame and id."""
+    """Concatenates parts, sorted by frame and id."""
     frames, ids, boxes, images, scores = (
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("frames", "ids", "boxes", "images", "scores")
@@ -187,15 +187,15 @@ def _poses_of(name: str, path: Path | None, *, alone: bool, detections: KittiBox
 
 
 Compared = tuple[int, list[int], list[int], npt.ArrayLike]
-"""A frame, the ids of vehicles and tracks, their similarity."""
+"""A frame, the ids of vehicles and tracks, their similarity matrix."""
 
 
 @dataclass(frozen=True, slots=True)
 class KittiScore:
-    """How well tracks follow labels of one type, by 3D IoU.
+    """Tracking measures against labels of one type, by 3D IoU.
 
-    `image_rules` tells whether KITTI's rules were applied: vans, boxes that are far occluded or
-    lower than 25 px, and those in areas that are not labelled are neither true nor false.
+    `image_rules` is whether KITTI's rules were applied: vans, boxes that are far occluded or lower
+    than 25 px, and those in areas that are not labelled are neither true nor false.
     """
 
     kind: str
@@ -216,7 +216,7 @@ class KittiScore:
 def score_files(tracks: Path, truth: Path, kind: str = "Car") -> KittiScore:
     """Scores the sequences of a folder of tracks against the labels of the same names.
 
-    Labels without a sequence of tracks are left aside.
+    Labels without a sequence of tracks are ignored.
 
     Raises:
         ConfigError: a file cannot be read, or is missing.
@@ -254,7 +254,7 @@ def _unique(sequence: int, track: int) -> int:
 
 
 def _by_image_rules(tracks: Path, labels: Path, kind: str) -> Iterator[Compared]:
-    """Yields frames as the public evaluator prepares them."""
+    """Yields frames filtered as by KITTI's public evaluation code."""
     import motrics
 
     gt, ignored = motrics.load_kitti_3d_gt(labels)

@@ -1,4 +1,4 @@
-"""Latency breakdown: how long each stage of a frame took, by percentile, over time, by agent."""
+"""Latency breakdown: duration of each stage of a frame, by percentile, over time, by agent."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def resampled(points: Floats, step_m: float = 1.0) -> Floats:
 
 
 def stands_out(points: Floats) -> npt.NDArray[np.bool_]:
-    """Tells which points (N, 3) are clearly above the lowest one nearby: things, not ground."""
+    """Marks the points (N, 3) that are clearly above the lowest one nearby: objects, not ground."""
     if not len(points):
         return np.zeros(0, np.bool_)
     cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / _CELL_M).astype(np.int64)
@@ -56,7 +56,7 @@ def stands_out(points: Floats) -> npt.NDArray[np.bool_]:
 
 
 def view_azimuth(road_map: RoadMap) -> float:
-    """Returns where to look, in rad: towards the arms, so that a T's stem leads away."""
+    """Returns the azimuth of the view, in rad: towards the arms, so that a T's stem leads away."""
     centre = np.array(road_map.centre[:2])
     ends = [
         road_map.by_id[n].points[0, :2] - centre for n in road_map.incoming if n in road_map.by_id

@@ -1,4 +1,4 @@
-"""Charts over simulated time: when frames were, and long series thinned to what can be seen."""
+"""Charts over simulated time: times of frames, and downsampling of long series."""
 
 from __future__ import annotations
 

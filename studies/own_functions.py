@@ -1,7 +1,7 @@
-"""Plain functions in the place of cpnet's parts: each is made into a plug-in of its kind.
+"""Plain functions as plug-ins: detector, upload policy, fusion, controller.
 
-A function knows neither configuration nor road; whoever needs them, or memory for each signal or
-agent, gives what an entry point would name (a class or `Policy`), see docs/plugins.md.
+A function gets neither configuration nor road; parts that need them, or state for each signal or
+agent, are given as an entry point would name them (a class or `Policy`), see docs/plugins.md.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ Boxes are x, y, z of the centre, length, width, height in m and yaw in rad, map 
 OwnUpload: TypeAlias = Callable[[RangeScan, SE3], Bools] | Policy
 """Scan and estimated `map_SE3_sensor` to the beams (channels, columns) that are sent."""
 OwnFusion: TypeAlias = Callable[[Vehicles, list[AgentPose]], Vehicles] | FusionMaker
-"""What was found and the agents' poses to the vehicles of the frame, each once."""
+"""Detections and the agents' poses to the vehicles of the frame, without duplicates."""
 OwnController: TypeAlias = Callable[[Observation, Signal], int | str] | PolicyMaker
 """Observation and signal to a green: an index into `signal.greens`, or a state of links."""
 
 
 @dataclass(frozen=True, slots=True)
 class OwnParts:
-    """Parts of the calling program; those that are None are as the scenario says."""
+    """Functions of the calling program; None leaves a part to the scenario."""
 
     detector: OwnDetector | None = None
     upload_policy: OwnUpload | None = None
@@ -178,7 +178,7 @@ class _FunctionPolicy:
 
     @property
     def needs_vehicles(self) -> bool:
-        """Always: the function is given all that is known."""
+        """Always true: the function gets the full observation."""
         return True
 
     def decide(self, observation: Observation) -> Decision:
@@ -206,7 +206,7 @@ class _FunctionPolicy:
         return greens[index]
 
     def _check(self, state: str) -> None:
-        """Checks what the cabinet would refuse, frame after frame."""
+        """Checks a state for what the cabinet would refuse in every frame."""
         signal, links = self.signal, len(self.signal.plan[0].state)
         if len(state) != links or not set(state) <= set("Ggr") or not set(state) & set("Gg"):
             raise self._wrong(
@@ -245,7 +245,7 @@ def _numbers(found: object) -> Floats | None:
 
 
 def _shown(found: object) -> str:
-    """Returns what a function returned, for people."""
+    """Returns a function's result as text, for errors."""
     if isinstance(found, np.ndarray):
         return f"{found.dtype} {found.shape}"
     return f"a {type(found).__name__} ({found!r:.40})"

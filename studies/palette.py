@@ -1,4 +1,4 @@
-"""Colours of pictures, on dark, and of charts, on white; told apart by the colour-blind."""
+"""Colours of pictures, on dark, and of charts, on white; distinguishable by the colour-blind."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ _DETECTOR, _CAV, _CV = "edge.detector", "traffic.cav_rate", "traffic.cv_rate"
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """An expectation, what was measured, and whether that meets it."""
+    """An expectation, the measured value, and whether it is met."""
 
     text: str
     measured: str
@@ -57,7 +57,7 @@ class Claim:
 
 
 def claims_section(findings: StudyResults) -> Section:
-    """Returns the expectations as a table, first of all that a reader sees."""
+    """Returns the expectations as a table, which heads the page."""
     rows = tuple(
         (claim.text, claim.measured, "yes" if claim.holds else "no") for claim in claims(findings)
     )
@@ -81,7 +81,7 @@ def claims(findings: StudyResults) -> list[Claim]:
 
 
 def _notes(findings: StudyResults) -> Iterator[str]:
-    """Yields why some figures are not what one would expect, where they are not."""
+    """Yields explanations of unexpected figures."""
     perception = findings.rows("perception")
     shares = [
         (figure_of(row, "e_cvpr_mean"), figure_of(row, "visible_share_mean")) for row in perception

@@ -1,4 +1,4 @@
-"""A run with perception as a case of a control study: its delays, and what was seen on the way."""
+"""A run with perception as a case of a control study: its delays, and its detections."""
 
 from __future__ import annotations
 

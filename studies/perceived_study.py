@@ -36,7 +36,8 @@ def perceived_cases(study: ControlStudy, folder: Path, resolve: Resolve) -> list
     The files of SUMO for nets that are built in are written into the folder.
 
     Raises:
-        ConfigError: a net is none, a control sets what is not its own, or the folder is none.
+        ConfigError: a net is invalid, a control sets a key that it may not, or the folder is not
+            usable.
     """
     found = []
     for group in groups_of_study(study) if study.perceived else ():
@@ -68,7 +69,7 @@ def run_perceived_controls(
     processes: int,
     report: Report,
 ) -> list[PolicyResult]:
-    """Runs those of `perceived_cases` that are not done yet.
+    """Runs the missing runs of `perceived_cases`.
 
     Raises:
         ConfigError: a scenario cannot be run.

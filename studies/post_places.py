@@ -1,4 +1,4 @@
-"""Where a roadside post can stand: beside the road, near the centre of its junction."""
+"""Placement of roadside posts: beside the road, near the centre of their junction."""
 
 from __future__ import annotations
 

@@ -112,17 +112,17 @@ class Run(recorded.Run):
 
     @cached_property
     def signals(self) -> pl.DataFrame:
-        """A row for each frame and signal: what it showed."""
+        """A row for each frame and signal: its state."""
         return self.table(PhaseRow)
 
     @cached_property
     def latency(self) -> pl.DataFrame:
-        """A row for each frame, region and agent: where the time went."""
+        """A row for each frame, region and agent: latency by stage."""
         return self.table(LatencyRow)
 
     @cached_property
     def truth(self) -> pl.DataFrame:
-        """A row for each frame and body: where it truly was. No part of cpnet was given it."""
+        """A row for each frame and body: ground truth, which no part of the system receives."""
         return self.table(TruthRow)
 
     @cached_property

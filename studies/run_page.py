@@ -77,7 +77,7 @@ def result_table(summary: Summary) -> Table:
 
 
 def _track_rows(tracks: Summary | None) -> tuple[tuple[str, Cell], ...]:
-    """Returns what coasting tracks add, where there are any."""
+    """Returns rows on the effect of coasting tracks, if there are any."""
     if tracks is None or tracks["precision"] is None:
         return ()
     e_cvpr, precision = tracks["e_cvpr"], tracks["precision"]
@@ -124,7 +124,7 @@ def _note(word: str, value: float | None, factor: float, unit: str) -> str:
 
 
 def origin_section(run: Run, command: str) -> Section:
-    """Returns what is needed to make the run again."""
+    """Returns the section on reproducing the run: command, versions, scenario."""
     blocks: list[Block] = []
     if command:
         blocks.append(Code(command, "The command that makes this run again"))
@@ -159,7 +159,7 @@ def run_page(run_dir: Path, command: str = "") -> Page:
 
     Args:
         run_dir: the run's folder.
-        command: what makes the run again; empty if that is not known.
+        command: the command that reproduces the run; empty if unknown.
 
     Raises:
         ConfigError: the folder is no run.

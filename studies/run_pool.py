@@ -1,4 +1,4 @@
-"""Runs side by side, each in a process of its own, forked off one that has done their imports.
+"""Parallel runs, each in a process of its own, forked off one that has done their imports.
 
 libsumo keeps state from one run to the next, which changes the results of the second, so no process
 makes two; imports take seconds, as long as a short run itself.
@@ -28,7 +28,7 @@ Done = TypeVar("Done")
 def run_each(
     work: Callable[[Task], Done], tasks: Sequence[Task], processes: int, log: Path | None = None
 ) -> Iterator[tuple[int, Done]]:
-    """Yields the number of each task and what `work` gives for it, as soon as it is done.
+    """Yields the number of each task and its result of `work`, as soon as it is done.
 
     What the processes print, such as SUMO's warnings, is added to the log if there is one.
     Ctrl-C does not reach the processes: whatever ends this iterator ends them, at once.
@@ -83,7 +83,7 @@ def _fork_server() -> ForkServerContext:
 
 
 def _run(work: Callable[[Task], Done], task: Task, results: Connection, log: Path | None) -> None:
-    """Sends what a task gives, or the error that it ends with; the main function of a process."""
+    """Sends the result of a task, or its error; the main function of a process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if log is not None:
         written = os.open(log, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -93,7 +93,7 @@ def _run(work: Callable[[Task], Done], task: Task, results: Connection, log: Pat
     with results:
         try:
             results.send((work(task), None))
-        except Exception as error:  # noqa: BLE001 - is raised again by who waits
+        except Exception as error:  # noqa: BLE001 - is raised again by the waiting process
             try:
                 results.send((None, error))
             except Exception:  # noqa: BLE001 - one that cannot be sent
@@ -105,7 +105,7 @@ def _received(results: Connection) -> Any:  # noqa: ANN401 - what the task gave
 
     Raises:
         ConfigError: it was killed before.
-        Exception: what the task ended with.
+        Exception: the task's error.
     """
     found, error = None, None
     with suppress(EOFError):

@@ -1,4 +1,4 @@
-"""Sections of a run's page: vehicle counts, signal phases, the map of seen and missed vehicles."""
+"""Sections of a run's page: vehicle counts, signal phases, map of detected and missed vehicles."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ _CLASSES: tuple[tuple[str, float, Mark, str], ...] = (
     ("reports itself", 4.5, "disc", palette.PLAIN),
     ("false detection", 6.0, "cross", palette.INK),
 )
-"""What is drawn on the map, from below: who is missed in a frame hides nobody who is seen."""
+"""Layers of the map, from below: missed vehicles do not hide detected ones."""
 _FRAMES = """
     SELECT frame FROM frames WHERE detections IS NOT NULL
     INTERSECT SELECT frame FROM truth ORDER BY frame

@@ -1,8 +1,8 @@
-"""`cpnet eval --tracks RUN`: the tracks of a run beside the truth, and the table of their measures.
+"""`cpnet eval --tracks RUN`: tracking measures of a run against ground truth.
 
 Vehicles in coverage are to be tracked: those in the area of E-CVPR (`studies.ecvpr`) within the
-range of a LiDAR, and there those that report themselves. Boxes of people are left aside, and those
-of no vehicle outside the area.
+range of a LiDAR, and there those that report themselves. Boxes of people are ignored, and false
+boxes outside the area.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from studies.tracking import (
 
 @dataclass(frozen=True, slots=True)
 class RunTracks:
-    """How well a run's vehicles in coverage were tracked."""
+    """Tracking measures of a run's vehicles in coverage."""
 
     score: TrackScore
     hota_iou: float | None
@@ -96,7 +96,7 @@ def evaluate_run(run_dir: Path) -> RunTracks:
             missing.
     """
     try:
-        import motrics  # noqa: F401 - what is missing is said before a run is read
+        import motrics  # noqa: F401 - a missing package is reported before a run is read
         import scipy  # noqa: F401
     except ModuleNotFoundError as error:
         raise ConfigError(

@@ -1,11 +1,11 @@
-"""Clouds of the kinds of LiDAR there are, cast into a scene, as their files hold them.
+"""Simulated clouds of many kinds of LiDAR, as their files hold them.
 
-What a codec meets in files is not a range image: azimuths that do not divide a turn, lasers that
-stand beside the sensor's middle, rings of unequal spacing of which some fire half as often,
-several sensors in a vehicle's frame, motion taken out, coordinates rounded, second returns. Each
-kind here has what its files are known for; points come in the order in which they were fired, but
-for the HDL-64E's, which KITTI holds ring by ring. Spacings are of `sensing.sensor_models`, else of
-the data sheets, to what matters here.
+The clouds in files are not range images: azimuths that do not divide a turn, lasers that stand
+beside the sensor's middle, rings of unequal spacing of which some fire half as often, several
+sensors in a vehicle's frame, motion taken out, coordinates rounded, second returns. Each kind here
+has the known properties of its files; points come in the order in which they were fired, but for
+the HDL-64E's, which KITTI holds ring by ring. Spacings are of `sensing.sensor_models`, else of the
+data sheets, to what matters here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A frame of a run in this process, as perception left it: for programs that look on or decide."""
+"""A perceived frame of a run in this process: for programs that observe or control."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ def cloud_of(scans: list[UploadedScan]) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedFrame:
-    """What is known of a frame before the signals decide on it.
+    """Data of a frame after perception, before the signals decide on it.
 
     Attributes:
         number: of the frame, from 0.
         sim_time_s: of the simulation, warm-up included.
         detections: by region; boxes (N, 7) in the map frame with tracks, speeds and lanes.
         counts: vehicles by lane, by signal.
-        signals: what each signal shows.
+        signals: the state of each signal.
         poses: that agents report of themselves.
         scans: that agents uploaded, by region, agent and chunk.
-        truth: where all bodies truly are; no part of cpnet is given it.
+        truth: ground truth of all bodies; no part of the system receives it.
     """
 
     number: int
@@ -93,7 +93,7 @@ class SimulatedFrame:
 
 @dataclass(slots=True, eq=False)
 class _Parts:
-    """What has arrived of the present frame."""
+    """The received messages of the present frame."""
 
     signals: dict[str, SignalState] = field(default_factory=dict)
     detections: dict[str, Detections] = field(default_factory=dict)
@@ -116,12 +116,12 @@ class FrameCollector:
         """Whether a frame has begun and is not perceived yet."""
 
     def subscribe(self, bus: Bus, name: BusName) -> None:
-        """Subscribes to what a frame consists of."""
+        """Subscribes to the topics of a frame."""
         for topic in _TOPICS[name]:
             bus.subscribe(topic)
 
     def take(self) -> SimulatedFrame | None:
-        """Reads what has arrived; returns the frame if that completes it."""
+        """Handles received messages; returns the frame if they complete it."""
         while (item := self.inbox.get()) is not None:
             if isinstance(item, Envelope):
                 self._add(item)

@@ -109,7 +109,7 @@ def _choose(run: Run, frame: int | None) -> int:
 
 
 def _fullest(run: Run, kept: list[int]) -> int:
-    """Returns the frame of most detections, the last of several: there is most to see."""
+    """Returns the frame with the most detections, the last of several."""
     found = dict(run.query("SELECT frame, COUNT(*) FROM detections GROUP BY frame"))
     return max(kept, key=lambda frame: (found.get(frame, 0), frame))
 

@@ -58,7 +58,7 @@ def _grid_section(findings: StudyResults, grid: str) -> Section:
 def _differences(
     findings: StudyResults, grid: str, rows: list[GridRow], axes: list[str]
 ) -> list[Block]:
-    """Returns by how much all cells differ from the first one, paired by seed."""
+    """Returns the differences of all cells from the first one, paired by seed."""
     if len(rows) < 2 or len(findings.study.seeds) < 2:
         return []
     frame, first = findings.frame.filter(pl.col("grid") == grid), _cell(rows[0], axes)
@@ -75,7 +75,7 @@ def _differences(
 
 
 def _cell(row: GridRow, axes: Sequence[str]) -> pl.Expr:
-    """Returns what chooses a cell's rows, one a seed."""
+    """Returns the filter of a cell's rows, one a seed."""
     return pl.all_horizontal([pl.col(axis).eq_missing(pl.lit(row[axis])) for axis in axes])
 
 
@@ -107,7 +107,7 @@ _TITLES = {
 
 
 def bandwidth_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page:
-    """Returns what is enough first, then further sections, then each grid."""
+    """Returns the sufficient uplink rates, then further sections, then each grid."""
     study = findings.study
     lead = (
         "Every agent, vehicles and the roadside LiDAR alike, is on an uplink of its own. What does "

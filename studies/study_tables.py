@@ -1,4 +1,4 @@
-"""Tables and charts of a study's grids: means over seeds and how far they can be trusted.
+"""Tables and charts of a study's grids: means over seeds with confidence intervals.
 
 From five seeds on that is the 95 % confidence interval, cut off at what is possible; below, the
 values of the seeds themselves. Comparisons are paired by seed.
@@ -47,7 +47,7 @@ CAPTION = (
 
 @dataclass(frozen=True, slots=True)
 class StudyResults:
-    """A study, its table, and the command that makes both again.
+    """A study, its table, and the command that reproduces both.
 
     `scenario` is what all cells have in common, with every key; `missing` has no figures;
     `networks` are sections about nets of several junctions.
@@ -100,7 +100,7 @@ def label_of(value: float | str | None) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure as pages write it: name, factor of its unit, decimals, what it can be at most.
+    """A measure as pages write it: name, factor of its unit, decimals, largest possible value.
 
     None can be less than 0, unless it is a difference.
     """
@@ -134,7 +134,7 @@ TRAFFIC = (
     Measure("vehicles_teleported", "teleported", 1, 1),
     Measure("vehicles_waiting", "not inserted", 1, 1),
 )
-"""Shown beside every delay: the vehicles that it is the mean of, and those that it lacks."""
+"""Measures shown beside every delay: the number of vehicles in its mean, and of those missing."""
 
 
 def mean_of(row: GridRow, shown: Measure) -> str | None:
@@ -158,7 +158,7 @@ def mean_of(row: GridRow, shown: Measure) -> str | None:
 
 
 def difference_of(frame: pl.DataFrame, shown: Measure, one: pl.Expr, other: pl.Expr) -> str | None:
-    """Returns by how much a measure differs between two cells, paired by seed; as `mean_of`."""
+    """Returns the difference of a measure between two cells, paired by seed; as `mean_of`."""
     found = paired_difference(frame, shown.value, one, other)
     if found is None:
         return None
@@ -246,13 +246,13 @@ def bars(rows: list[GridRow], axes: Sequence[str], shown: Measure) -> Chart:
 
 
 def _is_wide(rows: list[GridRow], axis: str) -> bool:
-    """Whether an axis spans so much that only a logarithm shows it all."""
+    """Whether an axis spans so much that it needs a logarithmic scale."""
     values = [value for row in rows if (value := figure_of(row, axis)) is not None]
     return bool(values) and min(values) > 0 and max(values) / min(values) > 100
 
 
 def origin_section(findings: StudyResults) -> Section:
-    """Returns what is needed to make the study again."""
+    """Returns the section on reproducing the study."""
     text = yaml.safe_dump(
         findings.study.model_dump(by_alias=True), sort_keys=False, allow_unicode=True
     )

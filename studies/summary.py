@@ -111,7 +111,7 @@ def to_json(summary: Summary) -> str:
 
 
 def pace_of(run: Run) -> Summary:
-    """Returns frames, simulated time, and how fast it went."""
+    """Returns the number of frames, simulated time, and real-time factor."""
     period_s = float(run.scenario.get("frame_period_s", 0.1))
     sql = """
         SELECT count(*), max(sim_time_ns) - min(sim_time_ns), max(tick_ns) - min(tick_ns),
@@ -147,7 +147,7 @@ def _perception(scores: list[FrameScore]) -> Summary:
 
 
 def _found(run: Run) -> dict[str, float] | None:
-    """Returns how many objects of each class were detected in points, a perceived frame.
+    """Returns how many objects of each class the LiDARs detected, per perceived frame.
 
     None of a run with truth, with which detections are compared instead.
     """
@@ -167,7 +167,7 @@ def _found(run: Run) -> dict[str, float] | None:
 
 
 def tracks_of(run: Run) -> Summary | None:
-    """Returns what coasting tracks add: precision and E-CVPR with and without; None without any."""
+    """Returns precision and E-CVPR with and without coasting tracks; None if there are none."""
     if not run.query("SELECT 1 FROM detections WHERE track > 0 LIMIT 1"):
         return None
     number = run.query("SELECT count(DISTINCT track) FROM detections WHERE track > 0")[0][0]
@@ -289,7 +289,7 @@ def _result_table(summary: Summary) -> Table:
 
 
 def _truth_facts(summary: Summary) -> list[tuple[str, str]]:
-    """Returns traffic, and what perception made of it."""
+    """Returns the facts of traffic and perception."""
     vehicles, seen = summary["vehicles"], summary["detections_per_frame"]
     return [
         ("E-CVPR", _spread(summary["e_cvpr"], 100, 1, " %")),
@@ -311,13 +311,13 @@ def _truth_facts(summary: Summary) -> list[tuple[str, str]]:
 
 
 def _found_facts(found: dict[str, float]) -> list[tuple[str, str]]:
-    """Returns what stands in place of the comparison with the truth, where there is none."""
+    """Returns the facts shown instead of the comparison with the truth, where there is none."""
     by_class = [(f"  {name.replace('_', '-')}", _number(n, 1)) for name, n in found.items()]
     return [("detected a frame", _number(sum(found.values()), 1)), *by_class]
 
 
 def _track_facts(tracks: Summary | None) -> list[tuple[str, str]]:
-    """Returns what is shown of tracks, where there are any."""
+    """Returns the facts of tracks, if there are any."""
     if tracks is None or tracks["precision"] is None:
         return []
     precision, e_cvpr = tracks["precision"], tracks["e_cvpr"]
@@ -374,7 +374,7 @@ def _agent_table(summary: Summary) -> Table:
 def agent_scores(run: Run) -> dict[str, dict[str, float]]:
     """Returns by agent its least score and the number of frames it was excluded from, worst first.
 
-    Agents that were fully trusted all along are not among them.
+    Agents that always had the full score are not among them.
     """
     return {
         agent: {"least_score": score, "frames_excluded": int(frames)}
@@ -383,7 +383,7 @@ def agent_scores(run: Run) -> dict[str, dict[str, float]]:
 
 
 def alignments(run: Run) -> dict[str, dict[str, float]]:
-    """Returns by agent by how much its poses were off when it was last aligned, in m and degrees.
+    """Returns by agent the error of its poses when it was last aligned, in m and degrees.
 
     `contradicting` are the registered scans after which it was excluded. An agent whose offset was
     never found and that was never excluded is not among them.

@@ -1,4 +1,4 @@
-"""SUMO's configuration files, written anew for runs that are compared."""
+"""Rewrites SUMO's configuration files for runs that are compared."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ PAIRED_SETTINGS: dict[str, Any] = {
     "traffic.lateral.lane_change_s": 0,
     "traffic.pedestrians_per_hour": 0,
 }
-"""Keys of a scenario whose traffic is to be that of SUMO alone, as in `studies.control_run`."""
+"""Settings of a scenario whose traffic equals that of SUMO alone, as in `studies.control_run`."""
 SAME_FOR_ALL = (
     *("mode", "cabinet", "traffic.step_s", "traffic.lateral.lane_change_s"),
     "traffic.pedestrians_per_hour",
 )
-"""Keys that would change SUMO or the cabinet in a part of such runs only."""
+"""Keys that must not be set, as they would change SUMO or the cabinet in only some of such runs."""
 _SHORT = {"n": "net-file", "r": "route-files", "a": "additional-files", "b": "begin", "e": "end"}
 _FILES = ("net-file", "route-files", "additional-files")
 

@@ -1,8 +1,8 @@
-"""How well tracks follow vehicles: HOTA, IDF1, MOTA and what else the field measures.
+"""Tracking measures: HOTA, IDF1, MOTA, AMOTA, and those of coasting tracks.
 
 The counts are those of `motrics`, whose results are TrackEval's; only the mean over recalls of
 AMOTA and sAMOTA is formed here. From top to bottom: the frames that are compared, similarity, the
-measures of any tracks, those of tracks that know since when they coast.
+measures of any tracks, those of tracks with the time that they coast.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def pairs_of(similarity: Floats, least: float = _ANY) -> list[tuple[int, int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sequences:
-    """What is compared: by frame, ids of vehicles and tracks, similarity, scores of the boxes."""
+    """Sequences to compare: by frame, ids of vehicles and tracks, similarity, scores of boxes."""
 
     vehicles: list[list[int]]
     tracks: list[list[int]]
@@ -108,11 +108,11 @@ class Sequences:
 
     @property
     def sides(self) -> tuple[list[list[int]], list[list[int]], list[list[list[float]]]]:
-        """What `motrics` takes: it reads arrays as it reads lists, in half the time."""
+        """The input of `motrics`: it accepts arrays as well as lists, in half the time."""
         return self.vehicles, self.tracks, cast("list[list[list[float]]]", self.similarity)
 
     def above(self, score: float, by_track: dict[int, float]) -> Sequences:
-        """Returns what is left of tracks with at least this score."""
+        """Returns the sequences with only tracks of at least this score."""
         result = Sequences(self.vehicles, [], [], [])
         for ids, similarity, scores in zip(self.tracks, self.similarity, self.scores, strict=True):
             kept = [n for n, one in enumerate(ids) if by_track[one] >= score]
@@ -124,7 +124,7 @@ class Sequences:
 
 @dataclass(frozen=True, slots=True)
 class TrackScore:
-    """The field's measures of tracks, shares from 0 to 1; None where nothing was to be tracked.
+    """Standard tracking measures, shares from 0 to 1; None where nothing was to be tracked.
 
     HOTA, DetA, AssA: Luiten et al. 2021, IDF1: Ristani et al. 2016, MOTA: Bernardin and
     Stiefelhagen 2008, AMOTA and sAMOTA: Weng et al. 2020, over 40 recalls. `passages` are the
@@ -144,7 +144,7 @@ class TrackScore:
 
     @classmethod
     def of(cls, found: Sequences, least: float = _ANY) -> TrackScore:
-        """Measures; pairs of a similarity below `least` are no matches, but for HOTA."""
+        """Computes the measures; pairs of a similarity below `least` match for HOTA alone."""
         import motrics
 
         passages = len({one for ids in found.vehicles for one in ids})
@@ -230,7 +230,7 @@ def _mean_scores(found: Sequences) -> dict[int, float]:
 
 @dataclass(frozen=True, slots=True)
 class MemoryScore:
-    """What tracks are worth that coast: their speed, and whether they find their vehicle again.
+    """Measures of coasting tracks: speed errors, and recovery of hidden vehicles.
 
     Speed errors are over boxes of vehicles that are due. A vehicle is hidden while it is due and no
     track's box of it is observed, for up to `HIDDEN_S`; it is `recovered` if it comes back under

@@ -1,8 +1,8 @@
-"""Trajectories of a run's tracks, and what traffic engineers read off them.
+"""Trajectories of a run's tracks, and traffic measures: speeds, queues, headways, arrivals.
 
 All functions but the first two are pure, over tables in Polars: `trajectories` with a row per track
-and frame, `greens` with a row per lane and green. Where a vehicle is before or behind a stop bar
-says `distance_m`, as in `detections`: the way of its centre to the bar, negative behind it.
+and frame, `greens` with a row per lane and green. A vehicle's position at a stop bar is
+`distance_m`, as in `detections`: the distance of its centre to the bar, negative behind it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ GREENS: dict[str, type[pl.DataType]] = {
     "start_s": pl.Float64,
     "end_s": pl.Float64,
 }
-QUEUED_MPS = 5 / 3.6  # who is slower before a stop bar is queued (5 km/h, as VISSIM counts)
+QUEUED_MPS = 5 / 3.6  # a slower vehicle before a stop bar is queued (5 km/h, as VISSIM counts)
 QUEUE_GAP_M = (
     20.0  # between two vehicles of a queue, or the first and the bar, at most (VISSIM, too)
 )
@@ -98,7 +98,7 @@ def write_trajectories(run_dir: Path, path: Path) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What the map says of lanes: edges, limits in m/s, and of those before a stop bar the rest.
+    """Lanes of the map: edges, limits in m/s, and approaches, turns and signal links.
 
     `approach` is the lane at the stop bar that a lane leads to, or is; `behind` are those lanes
     that come after it. `links` are a signal and its link numbers by lane at its stop bar.
@@ -136,7 +136,7 @@ class Layout:
         )
 
     def turn(self, lane: str, to: str) -> str:
-        """Returns what a turn from the end of a lane to the begin of another is called."""
+        """Returns the name of the turn from the end of a lane to the begin of another."""
         turn_deg = self.headings_deg[to][0] - self.headings_deg[lane][1]
         turn_deg = math.remainder(turn_deg, 360.0)
         if abs(turn_deg) > U_TURN_DEG:
@@ -192,8 +192,9 @@ def greens(states: pl.DataFrame, links: Mapping[str, tuple[str, tuple[int, ...]]
 def speeds_by_lane(trajectories: pl.DataFrame) -> pl.DataFrame:
     """Returns by `lane` its `tracks`, their `mean_mps` in space, and `p15_mps` to `p85_mps`.
 
-    The mean in space is that over all rows: whoever is slow is longer there. Percentiles are of the
-    tracks' own means. A vehicle that was lost from sight and found again is more than one track.
+    The mean in space is that over all rows: slow vehicles have more of them. Percentiles are of the
+    tracks' own means. A vehicle whose track was lost and that was detected again has more than one
+    track.
     """
     on_lane = _vehicles(trajectories).filter(pl.col("lane") != "")
     each = on_lane.group_by("lane", "track").agg(pl.col("speed_mps").mean().alias("own_mps"))
@@ -212,7 +213,7 @@ def speeds_by_lane(trajectories: pl.DataFrame) -> pl.DataFrame:
 def queues_at_green(
     trajectories: pl.DataFrame, greens: pl.DataFrame, approach: Mapping[str, str]
 ) -> pl.DataFrame:
-    """Returns for every green (`lane`, `start_s`) who stood: `queued` vehicles over `length_m`.
+    """Returns for every green (`lane`, `start_s`) the queue: `queued` vehicles over `length_m`.
 
     The length is that from the stop bar to the end of the last queued vehicle; those that stand on
     lanes farther up that lead to this one count, too.
@@ -228,7 +229,7 @@ def queues_at_green(
 def _queues(
     trajectories: pl.DataFrame, greens: pl.DataFrame, approach: Mapping[str, str]
 ) -> list[tuple[str, float, float, pl.DataFrame]]:
-    """Returns lane, start and end of every green, and who stood there as it began, front first."""
+    """Returns lane, start and end of every green, and the queue as it began, front first."""
     before = _before_bars(trajectories, approach)
     times_s = before["sim_time_s"].unique().sort()
     by_place = before.partition_by("sim_time_s", "approach", as_dict=True)
@@ -336,7 +337,7 @@ _HEADWAYS = pl.String, pl.Float64, pl.Int64, pl.Float64
 def saturation_flows(headways: pl.DataFrame) -> pl.DataFrame:
     """Returns by `lane` the saturation flow `vph`, from the `headways` behind the first four.
 
-    As in the Highway Capacity Manual: who starts first takes longer, and is left aside.
+    As in the Highway Capacity Manual: the first vehicles take longer to start, and are left out.
     """
     return (
         headways.filter(pl.col("position") > STARTUP)
@@ -347,7 +348,7 @@ def saturation_flows(headways: pl.DataFrame) -> pl.DataFrame:
 
 
 def arrivals(trajectories: pl.DataFrame, greens: pl.DataFrame, layout: Layout) -> pl.DataFrame:
-    """Returns when in the cycle vehicles would reach the stop bar if nobody stood in their way.
+    """Returns when in the cycle vehicles would reach the stop bar in free flow.
 
     Each passes `ARRIVAL_M` before the bar, and would be there at the speed limit a little later:
     `lane`, `track`, `time_s`, `since_green_s` the time since the start of the lane's last green,

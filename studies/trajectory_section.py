@@ -1,4 +1,4 @@
-"""The section of a run's page that a traffic engineer reads: what its trajectories tell."""
+"""The section of a run's page on traffic measures from trajectories."""
 
 from __future__ import annotations
 

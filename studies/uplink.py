@@ -21,10 +21,10 @@ _PER_AGENT = """
 def by_agent(run: Run, frame_period_s: float) -> dict[str, Figures]:
     """Returns by agent its frames, points and bytes per frame, and its rate in Mbit/s.
 
-    The rate is that of the frames in which the agent sent something, at the run's frame rate:
-    what its link must carry when the run keeps pace with the clock. `wire_*` is all that the link
-    carried up, and down where it says so, as IP packets: see `protocol.traffic`. None if the
-    transport could not tell.
+    The rate is that of the frames in which the agent sent something, at the run's frame rate: what
+    its link must carry when the run keeps pace with the clock. `wire_*` is all bytes on the link,
+    up, and down where the name says so, as IP packets: see `protocol.traffic`. None if the
+    transport did not count them.
     """
     return {
         agent: {

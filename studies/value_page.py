@@ -1,7 +1,7 @@
-"""The page of the study `value`: delay over what perception is given, and from where on it suffers.
+"""The page of the study `value`: delay over limits of perception, and where it gets worse.
 
-Each grid has one axis of what is given (a rate, a latency, a share of vehicles or junctions), its
-last one beside the controllers. All differences are paired by seed.
+Each grid has one axis of a limit (a rate, a latency, a share of vehicles or junctions), its last
+one beside the controllers. All differences are paired by seed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SUFFERS_SHARE = 0.05  # more delay than with the best, from which on it suffers
 
 
 def value_page(findings: StudyResults, sections: Sequence[Section] = ()) -> Page:
-    """Returns where delay begins to suffer, the paired controllers, and all of a plain page."""
+    """Returns where delay gets worse, the paired controllers, and all of a plain page."""
     grids = [grid.name for grid in findings.study.grids]
     found = [
         Section(title, tuple(table for name in grids if (table := of(findings, name)) is not None))

@@ -16,7 +16,7 @@ settings.load_profile("cpnet")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skips what needs network namespaces where they cannot be, and says why."""
+    """Skips tests that need network namespaces where these are not available, with the reason."""
     rooted = [item for item in items if item.get_closest_marker("root")]
     lacks = missing() if rooted else ""
     for item in rooted if lacks else []:

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -13,7 +13,7 @@ def install(folder: Path, package: Path = EXAMPLES / "plugin_package") -> Path:
     """Installs a package into a folder, to be put on the path."""
     pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     options = ["--no-deps", "--no-index", "--no-build-isolation", "--target", str(folder)]
-    subprocess.run([*pip, *options, str(package)], check=True, timeout=PATIENCE_S)
+    subprocess.run([*pip, *options, str(package)], check=True, timeout=TIMEOUT_S)
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Requests that mean harm, of every kind that somebody on the V2X bus could send."""
+"""Hostile signal requests, of every kind that a process on the V2X bus could send."""
 
 from __future__ import annotations
 

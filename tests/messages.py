@@ -7,7 +7,7 @@ from tests.roads import ONE_LANE
 
 
 def tracked(number: int) -> dict[str, np.ndarray]:
-    """Returns what `Detections` say of the tracks of so many boxes."""
+    """Returns the track fields of `Detections` for so many boxes."""
     column = np.full(number, 0.5, np.float32)
     return {
         "track_ids": np.arange(1, number + 1),
@@ -20,7 +20,7 @@ def tracked(number: int) -> dict[str, np.ndarray]:
 
 
 def no_tracks() -> dict[str, np.ndarray]:
-    """Returns what `BorderObjects` say of tracks where there are none."""
+    """Returns the track fields of `BorderObjects` without tracks."""
     empty = np.zeros(0, np.float32)
     return {
         "track_ids": np.zeros(0, np.int64),

@@ -52,8 +52,8 @@ def violations_of(run: Run) -> list[str]:
     rows = sorted(run.rows(PhaseRow), key=lambda row: row.tls)
     for tls, of_signal in groupby(rows, key=lambda row: row.tls):
         shown = [(row.sim_time_ns, row.state) for row in of_signal]
-        told = violations(shown, signals[tls].signal, config, traffic.step_s)
-        found += [f"{tls}: {violation}" for violation in told] if len(signals) > 1 else told
+        breaches = violations(shown, signals[tls].signal, config, traffic.step_s)
+        found += [f"{tls}: {violation}" for violation in breaches] if len(signals) > 1 else breaches
     return found
 
 

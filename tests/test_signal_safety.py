@@ -1,4 +1,4 @@
-"""The judge of what a signal showed: it finds each breach, and none where there is none."""
+"""The signal safety check finds each breach, and none where there is none."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GOOD = (("rrr", 1), ("Ggr", 5), ("yyr", 4), ("rrr", 1), ("rrG", 5), ("rry", 4), 
 
 
 def shown(*stages: tuple[str, float], step_s: float = 0.1) -> list[tuple[int, str]]:
-    """Returns each step's state, told at the end of the step."""
+    """Returns each step's state, sampled at the end of the step."""
     states = [state for state, lasts_s in stages for _ in range(round(lasts_s / step_s))]
     return [(round((n + 1) * step_s * S), state) for n, state in enumerate(states)]
 
@@ -68,8 +68,8 @@ def test_a_breach_is_named_with_its_signal_and_time() -> None:
 
 
 def test_time_that_runs_back_is_named() -> None:
-    told = violations([(2 * S, "rrr"), (S, "Ggr")], SIGNAL, CONFIG, 0.1)
-    assert told == ["signal J at 1 s: time does not increase from 2000000000 ns"]
+    found = violations([(2 * S, "rrr"), (S, "Ggr")], SIGNAL, CONFIG, 0.1)
+    assert found == ["signal J at 1 s: time does not increase from 2000000000 ns"]
 
 
 @given(st.data())
@@ -82,5 +82,5 @@ def test_moments_that_nobody_told_of_are_not_held_against_a_signal(data: st.Data
 
 def test_a_second_between_moments_still_shows_a_yellow_of_half_its_time() -> None:
     moments = shown(*GOOD[:2], ("yyr", 2), *GOOD[3:])
-    told = violations(moments[::10], SIGNAL, CONFIG, 0.1)
-    assert any("yellow" in one for one in told)
+    found = violations(moments[::10], SIGNAL, CONFIG, 0.1)
+    assert any("yellow" in one for one in found)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 T = TypeVar("T")
-PATIENCE_S = 300.0
+TIMEOUT_S = 300.0
 """Far more than a loaded machine needs: only what never comes true waits that long."""
 
 _POLL_S = 0.002
@@ -19,21 +19,21 @@ class Running(Protocol):
 
 def wait_until(
     holds: Callable[[], T],
-    patience_s: float = PATIENCE_S,
+    timeout_s: float = TIMEOUT_S,
     *,
     what: str | Callable[[], str] = "",
     needs: Running | None = None,
 ) -> T:
     """Returns the first answer that is true; an assertion fails if none can come any more.
 
-    That is so after `patience_s`, and at once when the process `needs` has ended. `what` says then
+    That is so after `timeout_s`, and at once when the process `needs` has ended. `what` says then
     what was missing.
     """
 
     def missing() -> str:
-        return (what() if callable(what) else what) or f"waited {patience_s:g} s in vain"
+        return (what() if callable(what) else what) or f"waited {timeout_s:g} s in vain"
 
-    give_up_ns = time.monotonic_ns() + round(patience_s * 1e9)
+    give_up_ns = time.monotonic_ns() + round(timeout_s * 1e9)
     while True:
         ended = needs is not None and needs.poll() is not None
         if answer := holds():

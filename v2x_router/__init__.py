@@ -1,1 +1,1 @@
-"""The V2X router: a process that hosts the V2X bus alone; no edge that ends takes others along."""
+"""The V2X router: a process that only hosts the V2X bus, so that an edge's end stops no other."""

@@ -19,7 +19,7 @@ from sensing.regions import RegionTracker
 from sensing.station import Station
 from sensing.world_view import WorldView
 
-CV_RANGE_M = 10.0  # a vehicle that sees nothing is of interest where it is
+CV_RANGE_M = 10.0  # a vehicle without sensor belongs to the region where it is
 
 
 class Connections:
@@ -89,10 +89,10 @@ class VehicleRole:
         self._station.open("vehicle")
 
     def on(self, item: Envelope | Presence) -> None:
-        """Takes a tick, bodies, a plan or the end.
+        """Handles a tick, bodies, a plan or the end.
 
         Raises:
-            MessageError: there is a body of a type that the setup does not know.
+            MessageError: there is a body of a type that the setup does not contain.
         """
         if isinstance(item, Envelope) and isinstance(item.message, TileBodies):
             unknown = sorted(set(item.message.types) - self._types.keys())
@@ -101,7 +101,7 @@ class VehicleRole:
         self._station.take(item)
 
     def poll(self) -> None:
-        """Senses and publishes for the newest tick."""
+        """Scans and publishes for the newest tick."""
         if view := self._station.pop():
             self._run_frame(view)
         self._station.report(view)
@@ -129,7 +129,7 @@ class VehicleRole:
                 self._publish_scan(view, index, estimated[index])
 
     def _estimated(self, view: WorldView, index: int) -> Floats:
-        """Returns the pose (6,) that a vehicle believes to have."""
+        """Returns a vehicle's estimate of its own pose (6,)."""
         agent = view.ids[index]
         pose = view.later(self._clock_errors_s[agent]).poses[index]
         return self._estimators[agent].estimate(pose, view.frame, view.sim_time_ns)

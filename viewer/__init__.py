@@ -1,6 +1,6 @@
 """Viewers of a running system, which publish nothing: Rerun and the terminal.
 
-live       follows a run and draws at a frame rate
+live       attaches to a run and draws at a frame rate
 scene      a frame as a picture: messages, clouds, figures
 layers     boxes, truth, lamps, counts, cells as arrays
 road       the road's surface, markings and places of counts

@@ -1,4 +1,4 @@
-"""What the terminal shows: messages become rows."""
+"""Table rows of the terminal view, made from messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from viewer.stages import (
 
 BOARD_TOPICS = frozenset(
     {"tick", "metrics", "clock", "progress", "end", "state", "request", "lanes"}
-)  # no scans: they are what is heavy
+)  # no scans: they are the largest messages
 MAX_ALERTS = 64
 STILL_NS = 3_000_000_000
 _STAGES = (Tick, Metrics, LaneCounts)
@@ -42,7 +42,7 @@ _STAGES = (Tick, Metrics, LaneCounts)
 
 @dataclass(frozen=True, slots=True)
 class AgentRow:
-    """An agent that uploads; `score` is how far the edge trusts it, 0 to 1."""
+    """An agent that uploads; `score` is its misbehaviour score at the edge, 0 to 1."""
 
     agent: str
     points: int
@@ -62,9 +62,9 @@ class StageRow:
 
 @dataclass(frozen=True, slots=True)
 class LaneRow:
-    """A lane's counts; `seen` is the share of it within sight, None where nobody can know.
+    """A lane's counts; `seen` is the share of it that sensors cover, None if unknown.
 
-    Of the vehicles, those `coasted` are remembered: no sensor saw them in this frame.
+    Of the vehicles, `coasted` are those whose tracks coast: no sensor saw them in this frame.
     """
 
     lane: str
@@ -85,9 +85,9 @@ class PhaseRow:
 
 @dataclass(frozen=True, slots=True)
 class RegionRow:
-    """A region: frames that were seen of it, those not complete, its agents, Mbit/s, mean ms.
+    """A region: number of its frames, incomplete frames, its agents, Mbit/s, mean ms.
 
-    Mbit/s are the recorder's, None as long as it has said nothing.
+    Mbit/s are the recorder's, None until it publishes progress.
     """
 
     region: str
@@ -103,7 +103,7 @@ class RegionRow:
 class JunctionRow:
     """A junction: what its signal shows, since when, and its lanes before the stop bars.
 
-    `covered` is the share of them that sensors cover, None where nobody can know.
+    `covered` is the share of them that sensors cover, None if unknown.
     """
 
     tls: str
@@ -117,13 +117,13 @@ class JunctionRow:
 
 
 class Board:
-    """Follows a run; rows are made when they are asked for.
+    """State of the terminal view: collects a run's messages; rows are made on request.
 
     `junction` is the one that is shown alone, None of a board that shows several.
     """
 
     def __init__(self, setup: Setup, tls: str | None = None) -> None:
-        """Shows one junction and what its region does, or all; a run's only one is shown so.
+        """Shows one junction and its region, or all; a run's only junction is shown alone.
 
         Raises:
             ConfigError: the run has no such signal.
@@ -159,7 +159,7 @@ class Board:
 
     @property
     def is_filled(self) -> bool:
-        """Whether there is something of all kinds to be shown."""
+        """Whether all parts of the view have data."""
         told = (told for one in self._junctions for told in (one.counts, one.state))
         is_told = self.progress is not None and all(one is not None for one in told)
         return is_told and bool(self._latencies)
@@ -170,10 +170,10 @@ class Board:
         return self.end is not None or any(role == "sim" for role, _ in self.gone)
 
     def take(self, item: Envelope | Presence) -> None:
-        """Takes what came.
+        """Adds a message or a change of presence.
 
         Raises:
-            MessageError: it is of a frame that cannot be, or one process or agent too many.
+            MessageError: its frame is implausible, or it is of one process or agent too many.
         """
         if isinstance(item, Presence):
             self._take_presence(item)
@@ -191,7 +191,7 @@ class Board:
             self._take_metrics(message)
 
     def agents(self) -> list[AgentRow]:
-        """Returns who uploads now, the fastest first."""
+        """Returns the agents that upload now, the fastest first."""
         rates = self._rates.mbps(self.sim_time_ns)
         self._points = {agent: self._points.get(agent, 0) for agent in rates}
         rows = [
@@ -201,7 +201,7 @@ class Board:
         return sorted(rows, key=lambda row: (-row.mbps, row.agent))
 
     def stages(self) -> list[StageRow]:
-        """Returns where the time goes, the whole way last; nothing before a frame is whole."""
+        """Returns latency by group of stages, end to end last; none before a complete frame."""
         if not self._latencies:
             return []
         newest = self._latencies[-1]
@@ -229,7 +229,7 @@ class Board:
         ]
 
     def signal(self) -> tuple[SignalState, float] | None:
-        """Returns what the junction's signal shows, and for how many simulated seconds so."""
+        """Returns the junction's signal state, and for how many simulated seconds it is shown."""
         if self.junction is None or self.junction.state is None:
             return None
         return self.junction.state, self.junction.unchanged_s(self.sim_time_ns)
@@ -278,7 +278,7 @@ class Board:
         )
 
     def alerts(self, now_ns: int) -> list[str]:
-        """Returns what somebody should know of now, on the monotonic clock, the gravest first."""
+        """Returns current alerts, by the monotonic clock, the gravest first."""
         still_ns = now_ns - self._ticked_ns
         found = [f"no frame for {still_ns / 1e9:.0f} s"] if self._is_still(still_ns) else []
         found += [f"{role} {name} is gone" for role, name in sorted(self.gone) if not self.end]

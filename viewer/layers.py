@@ -28,13 +28,13 @@ def rgb(text: str) -> Rgb:
 
 
 class Colours:
-    """Gives each agent a colour, which it still has when it comes again."""
+    """Assigns each agent a colour, which it keeps when it comes again."""
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = {}
 
     def of(self, agents: Iterable[str]) -> Mapping[str, Rgb]:
-        """Returns the colours of the agents that are there now; a newcomer gets a rare one."""
+        """Returns the colours of the present agents; a newcomer gets a rare one."""
         present = list(dict.fromkeys(agents))
         for agent in present:
             if agent in self._numbers:
@@ -82,7 +82,7 @@ class Lines:
 
 
 def detected(message: Detections, colours: Mapping[str, Rgb]) -> Boxes:
-    """Returns the boxes that the edge found; what reports itself has its agent's colour and name.
+    """Returns the boxes of detections; one that reports itself has its agent's colour and name.
 
     Others have their track's id, without tracks their number in the message. Those that coast are
     faint.
@@ -97,13 +97,13 @@ def detected(message: Detections, colours: Mapping[str, Rgb]) -> Boxes:
 
 
 class Trails:
-    """Remembers where tracks were in the last `TRAIL_S` seconds."""
+    """Trails of tracks: their positions in the last `TRAIL_S` seconds."""
 
     def __init__(self) -> None:
         self._places: dict[int, list[tuple[int, Floats]]] = {}
 
     def of(self, message: Detections) -> Lines:
-        """Takes a frame; returns the trail of each of its tracks that was there before."""
+        """Adds a frame; returns the trail of each of its tracks that was there before."""
         now_ns, found = message.sim_time_ns, Lines()
         before, self._places = self._places, {}
         for track, box in zip(message.track_ids.tolist(), message.boxes.tolist(), strict=True):
@@ -122,9 +122,9 @@ class Trails:
 
 
 def fronts(message: Detections) -> Texts:
-    """Returns the labels of those who stand first in their lane before the stop bar.
+    """Returns the labels of the first vehicle of each lane before the stop bar.
 
-    Those of all boxes would hide one another; who reports itself has a name there already.
+    Those of all boxes would hide one another; a vehicle that reports itself has a name already.
     """
     ways_m = message.distances_m.tolist()
     first: dict[str, int] = {}
@@ -169,7 +169,8 @@ def lane_counts(
 ) -> Texts:
     """Returns the count of each lane, before the stop bars and, fainter, behind them.
 
-    Places are those of `viewer.road.count_places`. A lane that nobody sees has a question mark.
+    Places are those of `viewer.road.count_places`. A lane that no sensor covers has a question
+    mark.
     """
     places, texts, colours = [], [], []
     sides = [
@@ -190,7 +191,7 @@ def lane_counts(
 
 
 def junction_totals(junctions: Iterable[ObservedJunction]) -> Texts:
-    """Returns at each junction its signal's id, and what is known before its stop bars.
+    """Returns at each junction its signal's id, and the counts before its stop bars.
 
     On narrow lines, for junctions may be near each other.
     """
@@ -207,7 +208,7 @@ def _covered(junction: ObservedJunction) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellArea:
-    """Where the parts of a region's agents are drawn: x, y of two corners (4,), and how high."""
+    """Area in which the cells of agents are drawn: x, y of two corners (4,), and height."""
 
     box: Floats
     z_m: float
@@ -224,7 +225,7 @@ class CellArea:
 def plan_cells(
     plans: Mapping[str, Plan], areas: Mapping[str, CellArea], colours: Mapping[str, Rgb]
 ) -> Lines:
-    """Returns the border of each agent's part of the scene, by region; nothing where none has one.
+    """Returns the border of each agent's cell of the plan, by region; nothing without cells.
 
     An agent of two regions has a part in each.
     """
@@ -249,7 +250,7 @@ def short_name(track: int) -> str:
 
 
 def _label(message: Detections, number: int) -> str:
-    """Returns the track's id or the agent, the lane, the speed, and since when nobody sees it."""
+    """Returns the track's id or the agent, the lane, the speed, and how long it coasts."""
     source, track = message.sources[number], int(message.track_ids[number])
     name = source if source != LIDAR else short_name(track) if track else f"#{number}"
     parts = [name, message.lanes[number] or "off the lanes"]

@@ -1,4 +1,4 @@
-"""Looks on at a run and shows it, at a rate that it can keep up with."""
+"""Live viewer: attaches to a run and draws it, at a rate that it can keep up with."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from viewer.stages import FrameLatency, Stages, slowest
 
 ENDING = "lanes"
 DRAWN = frozenset({"truth", "state", "request", "scan", "plan", "detections", ENDING})
-"""Of these only what is drawn is read."""
+"""Topics of which only messages that are drawn are decoded."""
 READ_AT_ONCE = frozenset({"tick", "metrics", "clock", "end", ENDING})
 TOPICS = DRAWN | READ_AT_ONCE
 _WAITING = {"scan": 4, "truth": 4, "tick": 8, "detections": 4, "metrics": 64}
 _INBOX_ITEMS, _INBOX_BYTES = 4096, 64 << 20
 REST_S = 0.1
-"""Nobody waits for a picture: what comes meanwhile is taken together, for less work."""
+"""Pause between polls of the inbox: messages are handled in batches, for less work."""
 
 
 class Shows(Protocol):
-    """Whoever draws."""
+    """Interface of a drawing backend."""
 
     def picture(self, picture: Picture) -> None:
         """Draws a frame."""
@@ -39,7 +39,7 @@ class Shows(Protocol):
 
 
 def modest_inbox() -> Inbox:
-    """Returns an inbox in which newer messages drive out older ones of who cannot keep up."""
+    """Returns an inbox in which newer messages replace older ones if the viewer is too slow."""
     inbox = Inbox(_INBOX_ITEMS, _INBOX_BYTES)
     for topic, waiting in _WAITING.items():
         inbox.limit(topic, waiting)
@@ -47,7 +47,7 @@ def modest_inbox() -> Inbox:
 
 
 class Live:
-    """Follows a run until it ends.
+    """Draws a run until it ends.
 
     A picture costs about as much as the edge's own decoding: `fps` is a cap.
     """
@@ -68,11 +68,11 @@ class Live:
 
     @property
     def left_out(self) -> int:
-        """Frames that were whole and were not drawn."""
+        """Complete frames that were not drawn."""
         return self._frames.left_out
 
     def follow(self, stop: threading.Event) -> None:
-        """Draws until the run or somebody's patience ends."""
+        """Draws until the run ends or `stop` is set."""
         while not (self.is_over or stop.is_set()):
             if (item := self._inbox.get()) is not None:
                 self._take(item)
@@ -94,7 +94,7 @@ class Live:
             self._inbox.refuse(item.topic, error)
 
     def _read(self, item: Envelope) -> None:
-        """Notes what is told of a frame, and reads at once what is told of the run."""
+        """Buffers messages about a frame, and handles messages about the run at once."""
         frame = peek_frame_time(item.data, topics.TOPICS[item.topic].message).frame
         if item.topic in DRAWN and frame is not None:
             self._frames.take(item, frame)
@@ -104,7 +104,7 @@ class Live:
         self.is_over |= isinstance(message, End)
         if isinstance(message, Metrics):
             self._scene.measured(message)
-        with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
+        with suppress(MessageError):  # a viewer that attaches later receives ends of earlier spans
             self._stages.take(message)
         if item.topic == "tick":
             shown = self._scene.regions.keys()

@@ -26,7 +26,7 @@ class Log:
     """Draws into one recording."""
 
     def __init__(self, recording: rr.RecordingStream, scene: Scene) -> None:
-        """Draws what stands still."""
+        """Draws the static parts: road, signal heads, camera."""
         self._to = recording
         self._agents: set[str] = set()
         self._plotted: set[str] = set()
@@ -56,7 +56,7 @@ class Log:
         self._figures(picture)
 
     def latency(self, latency: FrameLatency) -> None:
-        """See `viewer.live.Shows.account`."""
+        """See `viewer.live.Shows.latency`."""
         self._set_time(latency.frame, latency.sim_time_ns)
         self._scalars("/latency", [*latency.groups_ms.values(), latency.end_to_end_ms])
 
@@ -159,7 +159,7 @@ class Log:
             self._scalars("/e_cvpr", [100 * picture.score.e_cvpr])
 
     def _style(self, path: str, names: list[str], colours: list[Rgb], widths: list[float]) -> None:
-        """Says once how the lines of a plot look, in the order of their values."""
+        """Sets once the style of a plot's lines, in the order of their values."""
         style = rr.SeriesLines(colors=colours, names=names, widths=widths)
         self._to.log(path, style, static=True)
 

@@ -1,4 +1,4 @@
-"""What stands still in the picture: the road, where signal heads and labels are, the camera."""
+"""Static parts of the picture: road surface, signal heads, places of labels, camera."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Heads:
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """From where, and at what, the picture looks at first; in m in the map frame."""
+    """The initial camera: position and target, in m in the map frame."""
 
     position: tuple[float, float, float]
     target: tuple[float, float, float]
@@ -100,7 +100,7 @@ def approaches(road_map: RoadMap, lanes: Iterable[str]) -> list[str]:
 
 
 def camera(road_map: RoadMap) -> Camera:
-    """Returns a look from above and behind: of one junction so that a T's stem leads away.
+    """Returns the initial camera, from above: at one junction so that a T's stem leads away.
 
     Of several, north is ahead.
     """

@@ -42,7 +42,7 @@ _Told = LaneCounts | Detections | Truth | SignalState | SignalRequest
 
 @dataclass(slots=True, eq=False)
 class Moment:
-    """The messages of one frame, as far as they arrived and could be read.
+    """The messages of one frame, as far as they arrived and could be decoded.
 
     Those about a signal are by its id, plans by the region whose edge made them.
     """
@@ -58,7 +58,7 @@ class Moment:
 
     @property
     def sim_time_ns(self) -> int | None:
-        """The world's time at the frame, None as long as nobody said it."""
+        """The simulated time of the frame, None if no message has it."""
         told: list[_Told] = [*self.counts.values()]
         told += [one for one in (self.detections, self.truth) if one is not None]
         told += [*self.states.values(), *self.requests.values()]
@@ -66,7 +66,7 @@ class Moment:
 
     @classmethod
     def of(cls, frame: BufferedFrame, regions: Mapping[str, Collection[str]]) -> Moment:
-        """Reads what was heard of a frame: of these signals, and uploads to their regions.
+        """Decodes the messages of a frame: of these signals, and uploads to their regions.
 
         Truth and detections are those of the whole run.
         """
@@ -118,7 +118,7 @@ class Cloud:
 def clouds(scans: Iterable[Scan], most_points: int = MAX_POINTS) -> list[Cloud]:
     """Returns a cloud per agent; of all points every n-th, so that no more than these are left.
 
-    A chunk that cannot be read is left out.
+    A chunk that cannot be decoded is left out.
     """
     by_agent: dict[str, list[Scan]] = defaultdict(list)
     for scan in scans:
@@ -146,7 +146,7 @@ def _placed(scan: Scan, step: int) -> Floats32 | None:
 
 
 class TruthScorer:
-    """Compares what was detected with the truth."""
+    """Compares detections with ground truth."""
 
     def __init__(
         self,
@@ -203,7 +203,7 @@ def pressures(request: SignalRequest | None, names: list[str]) -> dict[str, floa
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """All that is drawn of one frame; what nobody said is None."""
+    """All that is drawn of one frame; what no message contains is None."""
 
     frame: int
     sim_time_ns: int
@@ -260,15 +260,15 @@ class Scene:
 
     @property
     def is_overview(self) -> bool:
-        """Whether several junctions are shown, so that the figures of one have no place."""
+        """Whether several junctions are shown, and so no figures of a single one."""
         return len(self.signals) > 1
 
     def measured(self, metrics: Metrics) -> None:
-        """Takes what a process says that it sent."""
+        """Adds the metrics of a process: what it sent."""
         self._rates.take(uploads_to(metrics, self.regions))
 
     def picture(self, moment: Moment) -> Picture | None:
-        """Returns the picture of a moment; None if nobody said when it was."""
+        """Returns the picture of a moment; None if its time is unknown."""
         sim_time_ns = moment.sim_time_ns
         if sim_time_ns is None:
             return None

@@ -1,4 +1,4 @@
-"""Where drawings go: a page for browsers, a window, a file."""
+"""Outputs of Rerun: a web page, a window, or a file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from viewer.scene import Scene
 
 APPLICATION = "cpnet"
 MEMORY = "128MiB"
-"""What is kept for a browser that comes later; what is older is forgotten."""
+"""Memory limit of data kept for browsers that connect later; older data is dropped."""
 _HERE = "127.0.0.1"
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _PATIENCE_S = 20.0
@@ -37,7 +37,7 @@ _LEAST_FREE_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sink:
-    """A recording to draw into, where that can be seen, who shows it, and whether it stays."""
+    """A Rerun recording to draw into, its address, the process that shows it, whether it stays."""
 
     recording: rr.RecordingStream
     where: str
@@ -74,10 +74,10 @@ def opened(port: int | None, save: Path | None, scene: Scene) -> Iterator[Sink]:
 
 
 def check(port: int | None, save: Path | None) -> None:
-    """Finds what can be found wrong before there is a run to show.
+    """Checks an output before there is a run to show.
 
     Raises:
-        ConfigError: the port is taken, the file is there already or cannot be, or there is no
+        ConfigError: the port is taken, the file exists already or cannot be written, or there is no
             display for a window.
     """
     if save is not None:
@@ -93,7 +93,7 @@ def check(port: int | None, save: Path | None) -> None:
 
 
 def _finish(recording: rr.RecordingStream) -> None:
-    with suppress(RuntimeError):  # whoever was to draw it may be gone, or slow
+    with suppress(RuntimeError):  # the receiver may be gone, or slow
         recording.flush(timeout_sec=_FLUSH_S)
     recording.disconnect()
 
@@ -107,7 +107,7 @@ def _finish_file(recording: rr.RecordingStream, path: Path) -> None:
         ) from None
     finally:
         recording.disconnect()
-    if (free_bytes := _free_bytes(path)) < _LEAST_FREE_BYTES:  # its end is written without a word
+    if (free_bytes := _free_bytes(path)) < _LEAST_FREE_BYTES:  # its end would be cut off silently
         raise CpnetError(
             f"--save {path} is not whole: {free_bytes} bytes of the disk are free, its end may lack"
         )
@@ -138,7 +138,7 @@ def _window(recording: rr.RecordingStream, scene: Scene) -> Sink:
 
 @contextmanager
 def _page(port: int) -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
-    """Serves page and data; yields where drawings go, where they show, and who serves them."""
+    """Serves page and data; yields the recording, its address and the server."""
     data = free_port()
     options = ["--serve-web", "--port", str(data), "--web-viewer-port", str(port)]
     options += ["--server-memory-limit", MEMORY, "--newest-first"]
@@ -197,7 +197,7 @@ def _check_free(port: int) -> None:
 
 
 def free_port() -> int:
-    """Returns a port of this machine that nobody uses now."""
+    """Returns a free port of this machine."""
     with socket.socket() as probe:
         probe.bind((_HERE, 0))
         port: int = probe.getsockname()[1]

@@ -12,14 +12,14 @@ from recording.frame_aggregator import FrameAggregator
 from recording.tables import LatencyRow
 
 LAG_FRAMES = 3
-"""Metrics arrive last: so much later the messages of a frame are complete."""
+"""Lag after which all metrics of a frame have arrived."""
 WINDOW_NS = 1_000_000_000
 MAX_RATED_AGENTS = 1024
 _MAX_FRAMES = 256  # of the window
 
 
 def uploads_to(metrics: Metrics, regions: Collection[str]) -> Metrics:
-    """Returns what a process says, with the uploads to these regions alone."""
+    """Returns a process's metrics with the uploads to these regions alone."""
     uploads = [upload for upload in metrics.uploads if upload.region in regions]
     return metrics.model_copy(update={"uploads": uploads})
 
@@ -33,7 +33,7 @@ class Rates:
         self._sent: dict[str, deque[tuple[int, int]]] = {}
 
     def take(self, metrics: Metrics) -> None:
-        """Takes what a process says that its agents sent; of too many agents no more are heard."""
+        """Adds a process's metrics of sent chunks; agents beyond the limit are ignored."""
         at_ns = metrics.sim_time_ns
         for upload in metrics.uploads:
             if upload.agent not in self._sent and len(self._sent) >= MAX_RATED_AGENTS:
@@ -43,9 +43,9 @@ class Rates:
             sent.append((at_ns, before + upload.payload_bytes))
 
     def mbps(self, now_ns: int) -> dict[str, float]:
-        """Returns each agent's rate, as of `LAG_FRAMES` before now; who sent nothing is left out.
+        """Returns each agent's rate, as of `LAG_FRAMES` before now, without idle agents.
 
-        Who came within the second has the rate since then.
+        An agent that came within the second has the rate since then.
         """
         end_ns = now_ns - LAG_FRAMES * self._period_ns
         rates = {}
@@ -73,12 +73,12 @@ GROUPS = {
     "fuse to signal": ("fuse", "border", "track", "count", "decide", "actuate"),
     "other": ("other",),
 }
-"""Stages as they are drawn: in order, those together that are short or belong together."""
+"""Groups of stages as they are drawn, in order; short or related stages share a group."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameLatency:
-    """The slowest way of a frame: milliseconds by group of stages, and of all of them."""
+    """The critical path of a frame: milliseconds by group of stages, and end to end."""
 
     frame: int
     sim_time_ns: int
@@ -87,7 +87,7 @@ class FrameLatency:
 
 
 class Stages:
-    """Puts frames' accounts together as the recorder does."""
+    """Computes the latency breakdown of frames as the recorder does."""
 
     def __init__(self, frame_period_ns: int, regions: Mapping[str, Sequence[str]]) -> None:
         """Takes the signals of each region."""
@@ -96,10 +96,10 @@ class Stages:
         self._told = -1
 
     def take(self, message: Message) -> None:
-        """Takes what tells of times.
+        """Adds a message with times.
 
         Raises:
-            MessageError: it is of a frame that cannot be.
+            MessageError: its frame is implausible.
         """
         match message:
             case Tick():

@@ -26,7 +26,7 @@ _LEAST_NAME = 6
 
 
 def picture(board: Board, now_ns: int) -> RenderableType:
-    """Returns what is to be shown now, on the monotonic clock."""
+    """Returns the tables to be shown now, by the monotonic clock."""
     if board.junction is None:
         tables = [_regions(board.regions()), _stages(board), _junctions(board.junctions())]
     else:
@@ -177,7 +177,7 @@ _POLL_S = 0.1
 
 
 def show(observer: Observer, board: Board, console: Console, stop: threading.Event) -> None:
-    """Draws twice a second until the run ends or somebody stops it."""
+    """Draws twice a second until the run ends or the user stops it."""
     with Live(console=console, screen=True, auto_refresh=False) as live:
         drawn_ns = 0
         while not (stop.is_set() or board.is_over):
@@ -189,7 +189,7 @@ def show(observer: Observer, board: Board, console: Console, stop: threading.Eve
 
 
 def show_once(observer: Observer, board: Board, console: Console, stop: threading.Event) -> None:
-    """Draws once there is something of all kinds to be shown; a slow run is waited for.
+    """Draws once, when all parts have data; a slow run is waited for.
 
     Raises:
         BusError: no frame began for long.
@@ -212,8 +212,8 @@ def show_once(observer: Observer, board: Board, console: Console, stop: threadin
 
 
 def listen(observer: Observer, board: Board) -> None:
-    """Takes what comes next."""
+    """Adds the next received items to the board."""
     if (item := observer.next(_POLL_S)) is None:
         return
-    with suppress(MessageError):  # whoever comes into a run hears ends of what had begun before
+    with suppress(MessageError):  # a viewer that attaches later receives ends of earlier spans
         board.take(item)

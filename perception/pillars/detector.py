@@ -29,7 +29,7 @@ from perception.pillars.windows import Window, cover, known_of
 from perception.roadway import Roadway, merge
 from perception.solid import solid_of
 
-_MOST = 500  # anchors of a window that are looked at
+_MOST = 500  # anchors of a window that are considered
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +41,7 @@ class Seen:
 
 
 class Engine:
-    """Asks one network; `half` computes in bfloat16."""
+    """Inference with one network; `half` computes in bfloat16."""
 
     def __init__(self, network: PointPillars, device: torch.device, *, half: bool) -> None:
         self.config = network.config
@@ -63,7 +63,7 @@ class Engine:
         self._canvas = torch.zeros(0, self.config.pillar_channels, dtype=self._type, device=device)
 
     def encode(self, points: Floats32, height_m: Floats32, window: Window) -> tuple[Tensor, Ints]:
-        """Returns what is known of each pillar (P, C) of a window, and their cells (P,)."""
+        """Encodes the pillars of a window: their features (P, C) and cells (P,)."""
         known, cells = known_of(points, height_m, window, self.config, self._weight, self._bias)
         return torch.from_numpy(known).to(self.device, self._type), cells
 
@@ -73,7 +73,7 @@ class Engine:
     ) -> tuple[Floats, Floats, Bytes, Ints]:
         """Returns boxes (N, 7), z over the road, scores, classes and windows (N,).
 
-        All windows are of one size; `seen` has which of the pillars known stand in each, and
+        All windows are of one size; `seen` has which of the encoded pillars stand in each, and
         where.
         """
         rows, columns = windows[0].size
@@ -88,7 +88,7 @@ class Engine:
 
     @torch.inference_mode()
     def head(self, known: Tensor, seen: Sequence[Seen], size: tuple[int, int]) -> Tensor:
-        """Returns what `PointPillars.forward` does, of windows with so many rows and columns."""
+        """Returns the output of `PointPillars.forward` for windows of such rows and columns."""
         places = size[0] * size[1]
         cell = np.concatenate([one.cell + n * places for n, one in enumerate(seen)])
         standing = torch.from_numpy(cell).to(self.device)
@@ -105,7 +105,7 @@ class Engine:
         return terms.permute(0, 3, 1, 2)
 
     def _cleared(self, places: int) -> Tensor:
-        """Returns an empty canvas (P, C); it is kept, for to clear all of it takes long."""
+        """Returns an empty canvas (P, C); it is reused, for clearing all of it takes long."""
         if places > len(self._canvas):
             self._canvas = self._canvas.new_zeros(places, self._canvas.shape[1])
         return self._canvas[:places]
@@ -209,7 +209,7 @@ AT_ONCE = 8  # windows; bounds the memory that a cloud takes
 
 
 class PillarsDetector:
-    """Looks for vehicles in clouds placed on `roadway`."""
+    """Detects vehicles by PointPillars in clouds placed on `roadway`."""
 
     def __init__(self, engine: Engine, roadway: Roadway, config: PillarsDetection) -> None:
         self._engine = engine
@@ -322,6 +322,6 @@ def _ground_at(boxes: Floats, points: Floats32, road_m: Floats32, roadway: Roadw
 
 
 def _headed(yaw: Floats, road_yaw: Floats) -> Floats:
-    """Turns boxes that have no front so that they head along the road."""
+    """Turns boxes, whose front is unknown, so that they head along the road."""
     off = (yaw - road_yaw + np.pi / 2) % np.pi - np.pi / 2
     return np.asarray((road_yaw + off + np.pi) % (2 * np.pi) - np.pi)

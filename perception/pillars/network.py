@@ -1,4 +1,4 @@
-"""The network: points to pillars, pillars to an image, the image to scores and boxes.
+"""The PointPillars network: points to pillars, pillars to an image, image to scores and boxes.
 
 After Lang et al. 2019, with changes for CPUs: points are never padded to pillars of a fixed size,
 each is encoded once and the maximum taken by pillar; images are channels-last. Boxes are encoded
@@ -58,14 +58,14 @@ class PointPillars(nn.Module):
         return self.head(self.image(self.pillars(features, pillar, len(cell)), cell, shape))
 
     def pillars(self, features: Tensor, pillar: Tensor, count: int) -> Tensor:
-        """Returns what is known of each pillar (P, C)."""
+        """Returns the features of each pillar (P, C)."""
         points = torch.relu(self.norm(self.encode(features)))
         empty = points.new_zeros(count, points.shape[1])
         return empty.scatter_reduce(0, pillar[:, None].expand_as(points), points, "amax")
 
     @staticmethod
     def image(pillars: Tensor, cell: Tensor, shape: Tensor) -> Tensor:
-        """Puts pillars where they stand: (B, C, H, W), channels-last."""
+        """Scatters pillars to the pseudo-image (B, C, H, W), channels-last."""
         windows, rows, columns = (int(n) for n in shape)
         flat = pillars.new_zeros(windows * rows * columns, pillars.shape[1])
         flat = flat.index_copy(0, cell, pillars)
@@ -122,7 +122,7 @@ def middle_of(place: Ints, window: Window, config: PillarsConfig) -> Floats:
 
 
 def terms_of(boxes: Floats, middle: Floats, kind: Ints, config: PillarsConfig) -> Floats32:
-    """Writes boxes (N, 7), z over the road, as terms (N, 7) of anchors at middles (N, 2).
+    """Encodes boxes (N, 7), z over the road, as terms (N, 7) of anchors at middles (N, 2).
 
     `kind` (N,) is that of the anchor: its number in the configuration, once along x, once along y.
     The yaw's term is the angle to the anchor within a quarter turn either way: a box has no front.
@@ -138,7 +138,7 @@ def terms_of(boxes: Floats, middle: Floats, kind: Ints, config: PillarsConfig) -
 
 
 def boxes_of(terms: Floats32, middle: Floats, kind: Ints, config: PillarsConfig) -> Floats:
-    """Reads boxes (N, 7), z over the road, from terms (N, 7); see `terms_of`."""
+    """Decodes boxes (N, 7), z over the road, from terms (N, 7); see `terms_of`."""
     sizes_m = config.sizes_m()[kind]
     diagonal_m = np.hypot(sizes_m[:, 0], sizes_m[:, 1])
     terms = terms.astype(np.float64)
@@ -160,7 +160,7 @@ class Batch:
 
     @classmethod
     def of(cls, windows: Sequence[Pillars], size: tuple[int, int], device: torch.device) -> Batch:
-        """Puts windows of one size together, rows and columns."""
+        """Batches windows of one size, rows and columns."""
         places = size[0] * size[1]
         first = np.cumsum([0, *(len(w.cell) for w in windows)])
         pillar = [w.pillar + at for w, at in zip(windows, first[:-1], strict=True)]

@@ -1,4 +1,4 @@
-"""Moves boxes behind their points, as the sensors see these.
+"""Moves boxes behind their points, as seen from the sensors.
 
 A network knows of no sensor. Of the strip of a parked car that the geofence leaves, it may make
 the far side of a car on the road, through which the sensor would have looked.

@@ -1,4 +1,4 @@
-"""Weights in a file: safetensors, with the network's shape and what is known of their making."""
+"""Weight files: safetensors, with the network's shape and metadata of the training."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MAX_BYTES = 200 << 20
 
 
 def save(network: PointPillars, path: Path, about: Mapping[str, Any]) -> None:
-    """Writes a network in half precision; `about` is what its users may want to know of it."""
+    """Writes a network in half precision; `about` is metadata for its users."""
     tensors = {
         name: value.detach().cpu().half().contiguous() if value.is_floating_point() else value.cpu()
         for name, value in network.state_dict().items()
@@ -39,7 +39,7 @@ def save(network: PointPillars, path: Path, about: Mapping[str, Any]) -> None:
 
 
 def describe(path: Path, more: Mapping[str, Any]) -> None:
-    """Adds to the description of weights in a file; these stay as they are.
+    """Adds to the metadata of a file; its weights stay as they are.
 
     Raises:
         ConfigError: see `load`.
@@ -64,12 +64,12 @@ def network_of(name: str, config: PillarsDetection) -> PointPillars:
 
 
 def _widths(config: PillarsConfig) -> tuple[object, ...]:
-    """Returns what tells networks apart; anchors and heights are those of their training."""
+    """Returns the shape that distinguishes networks; anchors and heights are of the training."""
     return config.pillar_channels, config.channels, config.layers, config.up_channels
 
 
 def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:
-    """Reads a network and what is known of it.
+    """Loads a network and its metadata.
 
     Raises:
         ConfigError: the file is missing, broken, or of another network.
@@ -82,7 +82,7 @@ def load(path: Path) -> tuple[PointPillars, dict[str, Any]]:
     except (ValueError, KeyError, RecursionError) as error:
         reason = _first_of(error) if isinstance(error, ValidationError) else str(error)
         raise ConfigError(f"weights {path}: its description is not valid: {reason}") from None
-    with torch.device("meta"):  # takes no room, however large it is declared
+    with torch.device("meta"):  # takes no memory, however large it is declared
         network = PointPillars(config)
     if wrong := _mismatch(network.state_dict(), tensors):
         raise ConfigError(f"weights {path}: not those of its network: {wrong}")

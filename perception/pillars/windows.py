@@ -74,7 +74,7 @@ def known_of(
     weight: Floats32,
     bias: Floats32,
 ) -> tuple[Floats32, Ints]:
-    """Encodes each pillar from the features of `pillars_of`, but without putting points in order.
+    """Encodes each pillar from the features of `pillars_of`, but without sorting points.
 
     Returns:
         The highest output of any of a pillar's points (P, C), from 0, and the pillars' cells (P,).
@@ -226,9 +226,9 @@ def _ask(
             known[pillar, begin + c] = most[c]
 
 
-HALO_M = 6.0  # around a window's core: what a vehicle at the core's edge is seen by
+HALO_M = 6.0  # around a window's core: context for a vehicle at the core's edge
 STRIP_M, LONG_M = 52.0, 116.0  # of a core at most, across and along
-STEP_M = 16.0  # few different sizes, so that many windows are asked for at once
+STEP_M = 16.0  # few different sizes, so that many windows are inferred at once
 _COARSE_M = 2.0
 _GAP_M = 3 * HALO_M  # a wider one is left out
 

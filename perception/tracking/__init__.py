@@ -1,8 +1,8 @@
-"""Tracking: vehicles keep their id, get a speed, and stay known while nobody sees them.
+"""Multi-object tracking: ids and speeds of vehicles, coasting while no sensor sees them.
 
-- `tracker`: detections in, `tracks` out, frame by frame; `config`: what it goes by
-- `states`: what is known of each track; `birth`: of a new one; `existence`: is it still there?
-- `pairing`: which detection is whose, by `association` and by `places` that are one
-- `motion`: the filter, in the open; `lane_following`: along lanes, behind others, before lights
-- `lane_graph`: lanes as arrays; `sightlines`: what sensors have seen through
+- `tracker`: detections in, `tracks` out, frame by frame; `config`: its parameters
+- `states`: the state of each track; `life_cycle`: birth and probability of existence
+- `pairing`: which detection belongs to which track, by `association` and by `places`
+- `motion`: the extended Kalman filter; `lane_following`: along lanes, behind others, before signals
+- `lane_graph`: lanes as arrays; `sightlines`: ground that sensors have seen
 """

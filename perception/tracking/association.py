@@ -1,4 +1,4 @@
-"""Association: which detection is whose, by a global assignment within gates."""
+"""Data association: detections to tracks, by a global assignment within gates."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def associate(
     """Returns for each box the track that it belongs to, an index or -1, and whether that jumped.
 
     The sum of costs is the least: squared Mahalanobis distance, the logarithm of the determinant of
-    its covariance, so that certain tracks come first, differences in size, doubts about the track.
+    its covariance, so that certain tracks come first, differences in size, the track's existence.
     What lies outside a track's gate may be its own if it jumped, at a cost.
 
     Args:

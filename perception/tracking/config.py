@@ -1,4 +1,4 @@
-"""What tracking goes by: the scenario's section `edge.tracking`."""
+"""Configuration of tracking: the scenario's section `edge.tracking`."""
 
 from __future__ import annotations
 

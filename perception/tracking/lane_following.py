@@ -1,4 +1,4 @@
-"""Motion along lanes of those that nobody sees: behind the vehicle ahead, and not past a red light.
+"""Prediction of unseen tracks along lanes: car following, and no passing of a red light.
 
 The mean follows the lane, and the speed what the vehicle ahead allows by the safe speed of Krauss
 (1998), as drivers do.
@@ -28,7 +28,7 @@ CRUISE_S = 1.5  # over which the speed that a driver keeps is the mean
 CRUISE_SHARE = 0.5  # of the speed allowed: who is slower is held up
 CRUISE_MPS2 = 0.5  # who changes speed more does not keep it ...
 FULL_SHARE = 0.9  # ... but for those that are so fast already
-CRUISE_STD_MPS = 1.0  # of a speed that tells anything
+CRUISE_STD_MPS = 1.0  # of a speed that is informative
 LANE_TURN_RAD = 0.1  # deviation from its heading
 
 
@@ -109,7 +109,7 @@ def _ahead(
     """Returns the gap to what is next ahead of each on its lane (N,), its speed, and who may go.
 
     That is a solid track, or the bar of a light (E,) that does not show green, before which one can
-    still stop. Those may go who come to a green light.
+    still stop. Those that approach a green light may go.
     """
     count = mean.shape[0]
     next_on, first_on = _in_order(lane, along_m, solid, length_m.shape[0])

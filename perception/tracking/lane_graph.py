@@ -1,4 +1,4 @@
-"""Lanes as arrays: which lane a box is on, where a lane leads to, what lies so far along it."""
+"""Lane graph as arrays: the lane of a box, a lane's successors, the position along a lane."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class LaneGraph:
     i are `first[i]` to `first[i + 1]`. `followers[leads[i]:leads[i + 1]]` are the lanes after lane
     i. `cells` has for each square of the plane the segments near it: `near[cells[c]:cells[c + 1]]`,
     on a `grid` (5,) of origin x and y, side, columns and rows. `links` has by signal the numbers of
-    its lights and the ways into the junction that they are for. `at_signal` marks the lanes (L,)
-    that end at a signal.
+    its lights and the connections into the junction that they control. `at_signal` marks the lanes
+    (L,) that end at a signal.
     """
 
     segments: Floats
@@ -93,11 +93,11 @@ class LaneGraph:
         )
 
     def lights(self, states: Mapping[str, str]) -> Bytes:
-        """Returns what signals show to those who approach each way (E,): stop, go, or unknown.
+        """Returns what signals show for each connection (E,): stop, go, or unknown.
 
         Args:
-            states: by signal a letter for each of its lights, as in SUMO. Of those that have to
-                give way (g) nobody knows whether they go.
+            states: by signal a letter for each of its lights, as in SUMO. Whether those that have
+                to give way (g) go is unknown.
         """
         result = np.zeros(len(self.followers), np.uint8)
         for tls, state in states.items():
@@ -107,7 +107,7 @@ class LaneGraph:
         return result
 
     def held(self, states: Mapping[str, str]) -> Bools:
-        """Marks the lanes (L,) that end at a signal which shows none of their ways that it may go.
+        """Marks the lanes (L,) that end at a signal which shows go for none of their connections.
 
         The argument is as of `lights`.
         """
@@ -117,7 +117,7 @@ class LaneGraph:
         return np.asarray(self.at_signal & ~goes)
 
     def locate(self, boxes: Floats) -> tuple[Ints, Floats, Floats]:
-        """Finds the lane along each box (N, 7): its index (N,), -1 for none, metres along and off.
+        """Finds the lane of each box (N, 7): its index (N,), -1 for none, metres along and off.
 
         Metres off (N,) are to the left of the lane's middle.
         """
@@ -131,7 +131,7 @@ class LaneGraph:
 def _links(
     road_map: RoadMap, number: Mapping[str, int], leads: Ints, followers: Ints
 ) -> dict[str, list[tuple[int, int]]]:
-    """Returns by signal its lights, each with the ways that lead to where it leads."""
+    """Returns by signal its lights, each with the connections that it controls."""
     result: dict[str, list[tuple[int, int]]] = {}
     internal = {number[lane.id] for lane in road_map.lanes if lane.internal}
     for one in road_map.intersections:
@@ -157,7 +157,7 @@ def _end(lane: int, internal: set[int], leads: Ints, followers: Ints) -> int:
 
 
 def _straightness(segments: Floats, first: Ints, leads: Ints, followers: Ints) -> Floats:
-    """Returns how many vehicles are thought to have gone each way (E,): most go straight on."""
+    """Returns prior counts of vehicles for each connection (E,): most go straight on."""
     prior = np.zeros(len(followers))
     for lane in range(len(leads) - 1):
         ways = np.arange(leads[lane], leads[lane + 1])
@@ -225,7 +225,7 @@ def _locate(
 
 @njit("int64(int64, int64[::1], float64[::1])", cache=True)
 def likeliest(lane: int, leads: Ints, trips: Floats) -> int:
-    """Returns the way on, an index into the followers, that most vehicles take; -1 for none."""
+    """Returns the successor, an index into the followers, that most vehicles take; -1 for none."""
     best = -1
     for way in range(leads[lane], leads[lane + 1]):
         if best < 0 or trips[way] > trips[best]:

@@ -117,7 +117,7 @@ def _birth_speed(room_m: float, leader_mps: float, limit_mps: float) -> float:
 
 
 def raised_existence(existence: Floats) -> Floats:
-    """Returns the existence (N,) of tracks that were detected once more."""
+    """Returns the raised existence (N,) of tracks that were detected once more."""
     odds = existence * HIT_ODDS
     return np.asarray(np.minimum(odds / (odds + 1 - existence), MOST_EXISTENCE))
 
@@ -129,10 +129,10 @@ def lower_existence(
     visible: SightLines | None,
     config: TrackingConfig,
 ) -> None:
-    """Lowers the existence of who was not detected, by what should have been seen there.
+    """Lowers the existence of tracks that were not detected, by how visible their place was.
 
-    It ends where another one was detected, but for those that were seen themselves just before:
-    these are not published, and end soon unless they are detected again.
+    A track ends where another one was detected, but for those that were seen themselves just
+    before: these are not published, and end soon unless they are detected again.
     """
     missed = np.flatnonzero(~states.seen)
     if not len(missed):

@@ -2,12 +2,11 @@
 
 A state is x, y, heading, speed along it, yaw rate and acceleration, with a covariance (6, 6), of a
 constant turn rate and acceleration (Schubert et al. 2008), where the acceleration fades (Singer
-1970). On lanes `lane_following` moves those that nobody sees.
+1970). On lanes `lane_following` moves those that no sensor sees.
 
-What is measured of a vehicle is the end that is turned to the sensor, and that but one way: where a
-bonnet lies between two beams, or is hidden, the box begins farther away; nothing of a vehicle
-is where it is not. So an end that is too far away weighs the less, the farther it is (Geman and
-McClure 1987).
+Measured is the end of a vehicle that is turned to the sensor, with a one-sided error: where a
+bonnet lies between two beams, or is hidden, the box begins farther away, never nearer. So an end
+that is too far away weighs the less, the farther it is (Geman and McClure 1987).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ JUMP_STD_OFF_MAP = np.array([0.5, 0.5])
 JUMPED_STD = np.array([0.3, 1.3, 0.0])  # of what has jumped: a change of lane, or another side seen
 TURN_LIFE_S = 1.0  # of a yaw rate: curves end
 ACCEL_LIFE_S = 4.0  # of an acceleration
-STEADY_ACCEL_STD_MPS2 = 1.5  # of one of which nothing is known
+STEADY_ACCEL_STD_MPS2 = 1.5  # of an unknown one
 ROUGH = 0.02  # share of an acceleration's variance that changes at once
 ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
 END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the end turned to the sensor, and by its range squared
@@ -40,7 +39,7 @@ AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
 
 
 def deviations(observed: Vehicles, visible: SightLines | None) -> tuple[Floats, Floats]:
-    """Returns by how much detections may be off, and from where they were seen.
+    """Returns the standard deviations of detections, and from where they were seen.
 
     The first are deviations along, across and in heading (N, 3), the second (N, 3) how far ahead of
     a box's middle the nearest sensor stands, how far away it is, and 1 for an agent's own pose.
@@ -87,7 +86,7 @@ def spread(f: Floats, p: Floats) -> None:
 
 @njit("void(float64[::1], float64[:,::1], float64[::1], float64, float64)", cache=True)
 def _correct_by(mean: Floats, p: Floats, axis: Floats, off: float, variance: float) -> None:
-    """Corrects a state by one number: its part along an axis (6,) is off by so much."""
+    """Kalman update of a state by a scalar innovation along an axis (6,)."""
     gain = np.zeros(6)
     for i in range(6):
         for j in range(6):
@@ -166,8 +165,8 @@ def predict(
 def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Floats) -> float:
     """Returns the deviation of an end that is off by so much, `towards_m` the sensor or away.
 
-    So is the middle of a box whose side a sensor sees. Where nobody knows from where a box was
-    seen, its own deviation along holds.
+    So is the middle of a box whose side a sensor sees. Where the sensor of a box is unknown, its
+    own deviation along holds.
     """
     deviation = END_STD_M + END_STD_PER_M2 * range_m**2
     total = deviation**2
@@ -182,7 +181,7 @@ def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Flo
 
 @njit("float64(float64)", cache=True)
 def _half_turn(angle: float) -> float:
-    """Returns an angle between headings, of which nobody knows which way round they are."""
+    """Returns the angle between headings that may be reversed, modulo a half turn."""
     return float((angle + np.pi / 2) % np.pi - np.pi / 2)
 
 
@@ -210,10 +209,10 @@ def correct(
 ) -> None:
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
-    A box's heading may be the wrong way round; a vehicle that goes backwards for good has been
-    taken for the wrong way round itself. `seen` (M, 3) is as of `deviations`. Along, what counts is
-    the end that is turned to the sensor, as of a vehicle of `length_m` (N,): the other is hidden.
-    A box that lies across its track is that of two vehicles abreast, and corrects little.
+    A box's heading may be reversed; a track that keeps going backwards has a reversed heading
+    itself. `seen` (M, 3) is as of `deviations`. Along, what counts is the end that is turned to the
+    sensor, as of a vehicle of `length_m` (N,): the other is hidden. A box that lies across its
+    track is that of two vehicles abreast, and corrects little.
     """
     axes = np.zeros((3, 6))
     axes[2, 2] = 1.0

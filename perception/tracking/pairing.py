@@ -1,7 +1,7 @@
-"""Pairing: which track each detection of a frame belongs to.
+"""Pairing of a frame's detections with tracks.
 
-An agent's own pose is that of its track; all else is assigned at once (`association`), and at last
-a track takes back what a younger one holds in its place.
+An agent's own pose is that of its track; all else is assigned at once (`association`); then an
+older track takes back a detection that a younger one holds at its place.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from perception.tracking.places import is_same
 from perception.tracking.states import TrackStates
 
 POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
-RECENT_S = 0.5  # who was seen so lately is still there
-RECENT_HITS = 3  # and who was seen so few times may be the one that was not seen for longer
+RECENT_S = 0.5  # a track seen so lately is still there
+RECENT_HITS = 3  # and one seen so few times may be the one that was not seen for longer
 
 
 def pair(

@@ -1,4 +1,4 @@
-"""Places of boxes: which of them lie so much in one place that they are of one vehicle."""
+"""Duplicate boxes: which boxes lie so close together that they are of one vehicle."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What sensors looked through: where a vehicle would have hidden ground that was seen.
+"""Sight lines of sensors: visible ground rules out a vehicle that would have hidden it.
 
 A vehicle that is not detected may be hidden or gone. It is gone where a sensor has seen the ground
 behind its place: a beam that ends there has passed where the vehicle would be.
@@ -53,9 +53,9 @@ class SightLines:
         return cls(np.ascontiguousarray(sensors), heights_m, ground)
 
     def empty(self, boxes: Floats) -> Floats:
-        """Returns how surely each box (N, 7) is no longer there: ground was seen through it (N,).
+        """Returns how surely each box (N, 7) is empty, 0 to 1: the ground seen through it (N,).
 
-        From 0, nothing was, to 1. What was seen beside a box does not count.
+        0 is none. What was seen beside a box does not count.
         """
         return np.asarray(
             _empty(np.ascontiguousarray(boxes), self.sensors, self.heights_m, self.ground)

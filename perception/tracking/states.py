@@ -1,4 +1,4 @@
-"""What the tracker knows of each track, as columns."""
+"""The tracker's state of each track, as columns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CLASSES = len(ObjectClass)
 
 @dataclass(slots=True, eq=False)
 class TrackStates:
-    """What is known of each of N tracks; see `motion` for `mean` and `covariance`.
+    """The states of N tracks; see `motion` for `mean` and `covariance`.
 
     `dims` (N, 4) are z, length, width, height, `votes` (N, classes) detections by class. `lane`,
     `along_m` and `off_m` are as of `LaneGraph.locate` in this frame; `origin` is the lane that a

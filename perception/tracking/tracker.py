@@ -1,4 +1,4 @@
-"""The tracker: detections of one frame after the other in, tracks out."""
+"""The multi-object tracker: detections in, tracks out, frame by frame."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from perception.tracking.tracks import Tracks
 from protocol.limits import MAX_POSITION_STD_M
 
 FASTEST_MPS = 70.0
-LONG_GAP_S = 0.3  # over longer ones who is on a lane follows it, seen or not
+LONG_GAP_S = 0.3  # over longer ones a track on a lane follows it, seen or not
 ADOPTED_STD_MPS = 1.0  # of the speed that another tracker states
 ADOPTED_M = 2.5  # tracks of two trackers that are nearer are of one vehicle
 SURE_M = 8.0  # so far on, a lane is no longer mistaken for one that begins beside it
@@ -74,7 +74,7 @@ class Tracker:
             time_ns: when the detections were; frames may be missing.
             observed: detections, without duplicates, those with a source other than "lidar" being
                 agents' own poses.
-            visible: what sensors looked through in this frame; None if nobody knows.
+            visible: sight lines of the sensors in this frame; None if unknown.
             signals: what signals have shown since the last frame, as `LaneGraph.lights` takes it.
 
         Raises:
@@ -105,13 +105,14 @@ class Tracker:
         return self._last
 
     def forget(self) -> None:
-        """Forgets all tracks and the time, not which ids were given."""
+        """Forgets all tracks and the time, not which ids were used."""
         self._states, self._time_ns, self._last = TrackStates.none(), None, Tracks.none()
 
     def distrust(self, agents: Collection[str], places: Floats, reach_m: float) -> None:
-        """Has tracks confirmed anew that agents may have made up: their own, and those near them.
+        """Makes tracks that agents may have invented need confirmation: their own, those near them.
 
-        To be called between two frames. Who is detected again keeps its id; others do not coast.
+        To be called between two frames. One that is detected again keeps its id; others do not
+        coast.
 
         Args:
             agents: whose data are no longer used.
@@ -125,7 +126,7 @@ class Tracker:
         states.hits[doubted] = 0
 
     def adopt(self, time_ns: int, others: Tracks) -> None:
-        """Takes over the ids of another tracker for the same vehicles, and vehicles that it knows.
+        """Adopts another tracker's tracks: ids of the same vehicles, and vehicles unknown here.
 
         To be called between two frames. Where the time is not that of the last frame, nothing is
         taken over.
@@ -171,7 +172,7 @@ class Tracker:
         return observed.take(order[: self._config.max_tracks])
 
     def _predict(self, dt_s: float, signals: Mapping[str, str]) -> None:
-        """Moves all tracks on: on lanes who is hidden, or long unseen; in the open all others."""
+        """Predicts all tracks: hidden or long unseen ones on lanes, others by the motion model."""
         states, config = self._states, self._config
         if not len(states) or dt_s == 0.0:
             return
@@ -256,7 +257,7 @@ class Tracker:
         return result
 
     def _locate(self, dt_s: float) -> None:
-        """Finds the lanes of who was detected; learns how fast they drive, which ways they take."""
+        """Finds the lanes of detected tracks; learns how fast they drive and where they turn."""
         states, lanes = self._states, self._lanes
         seen = np.flatnonzero(states.seen)
         if lanes is None or not len(seen):

@@ -1,4 +1,4 @@
-"""Scans as bytes: what a LiDAR returned, within a named error bound.
+"""Scan codec: compression of LiDAR scans and point clouds within a given error bound.
 
 Profiles trade time for bytes (`Profile`); the bound is chosen apart from them and holds for the
 distance between each point and its decoded self. A form that could not keep it refuses the scan.

@@ -40,7 +40,7 @@ _ROUNDING = 2.0**-22  # of a distance: what float32 may do to a point on both si
 
 
 def check_bound(max_error_m: float) -> None:
-    """Refuses a bound that makes no sense.
+    """Checks that an error bound is between 0.1 mm and 10 m.
 
     Raises:
         CodecError: it is not a length between 0.1 mm and 10 m.
@@ -50,7 +50,7 @@ def check_bound(max_error_m: float) -> None:
 
 
 def room_m(max_error_m: float, farthest_m: float, kind: str) -> float:
-    """Returns what quantisation may use of the bound: all but what float32 takes.
+    """Returns the part of the error bound that quantisation may use: all but float32's rounding.
 
     Args:
         max_error_m: the bound.
@@ -155,7 +155,7 @@ _Packed = tuple[Head, list[bytes], npt.NDArray[np.int64]]  # the order in which 
 def _pack_cloud(points: Floats, room: float) -> _Packed:
     """Returns the smaller of an octree and the image of the rings that are found.
 
-    Intensities are not looked at, so that they change nothing of where the points come to lie.
+    Intensities are not considered, so that they do not affect the decoded positions.
     """
     image = find_rings(points, room)
     if image is None:

@@ -36,7 +36,7 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """Which rings (channels,) and columns (columns,) of an image are in it."""
+    """A window of a range image: masks of its rings (channels,) and columns (columns,)."""
 
     rings: Bools
     columns: Bools
@@ -141,7 +141,7 @@ _kept = threading.local()
 
 
 def _scratch(channels: int, columns: int) -> tuple[U4, U4]:
-    """Returns room for symbols and raw bits, one for each thread: fresh memory takes longer."""
+    """Returns this thread's buffers for symbols and raw bits: fresh memory takes longer."""
     symbols: U4 | None = getattr(_kept, "symbols", None)
     needed = symbol_room(channels, columns)
     if symbols is None or len(symbols) < needed:
@@ -187,8 +187,8 @@ def unpack_image(
 def _tune(noise_steps: float) -> I8:
     """Returns the settings of the model for range noise of this standard deviation in steps.
 
-    Floor of the gain in 1/256: the coarser the steps, the more each of them says. Steps that make
-    a jump. Shift of activities, so that noise alone is one or two. Lowest bits that are noise.
+    Floor of the gain in 1/256: the coarser the steps, the more information each carries. Steps that
+    make a jump. Shift of activities, so that noise alone is one or two. Lowest bits that are noise.
     """
     gain = min(0.68, max(_FLOOR, 0.84 - 3.2 * noise_steps))
     jump = min(255, max(2, math.ceil(_SIGMAS_OF_JUMP * noise_steps)))

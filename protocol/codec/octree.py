@@ -1,9 +1,9 @@
 """Unordered points as an octree, depth first, on the lattice of `lattice`.
 
-A cell of the tree says which of its eighths hold points (two symbols of four bits, upper half
+A cell of the tree codes which of its octants hold points (two symbols of four bits, upper half
 first), then which of these hold one point only. Those are not divided further: a symbol of up to
-three bits tells where the point lies along each axis, the rest is as good as random and is raw (as
-in Draco's kd-tree). A symbol tells whether it lies at the corner of its cell or at the middle.
+three bits codes where the point lies along each axis, the rest is as good as random and is raw (as
+in Draco's kd-tree). A symbol codes whether it lies at the corner of its cell or at the middle.
 Contexts are those of `tree_contexts`.
 """
 
@@ -62,7 +62,7 @@ from protocol.limits import (
 from protocol.scans import Floats, Floats32
 
 _COPIES_BITS = 20  # raw, of a count beyond the tokens
-# What one cell may read before the decoder looks whether it is there.
+# The most that one cell may read before the decoder checks for the end of the data.
 _SYMBOLS_PER_CELL = 40  # four of the cell, four of each of eight points
 _SPARE = 24  # words of raw bits: three times 16 bits and 20 of each point, and one ahead
 _SYMBOLS_PER_BIT = 6000  # that a table must save

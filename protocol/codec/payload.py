@@ -1,4 +1,4 @@
-"""The outside of a payload: a prefix, then sections of stated length.
+"""The container format of a scan payload: a prefix, then sections of stated length.
 
 The prefix is 40 bytes: magic "SCAN", u8 form, u8 flags, u16 channels, u32 columns, u32 points,
 f32 upper and lower field of view (deg), f64 step (m), u32 length of what follows, u32 zero. A
@@ -46,7 +46,7 @@ _IMAGES = (Form.PLANES, Form.IMAGE)
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What the prefix says. The pattern is zeros for a cloud without one."""
+    """The fields of the prefix. The pattern is zeros for a cloud without one."""
 
     form: Form
     points: int
@@ -59,7 +59,7 @@ class Head:
     elevations_deg: tuple[float, ...] = ()
 
     def seal(self, *sections: bytes) -> bytes:
-        """Returns the payload."""
+        """Assembles a payload from its prefix and sections."""
         flags = HAS_INTENSITY if self.with_intensity else 0
         if self.elevations_deg:
             flags |= HAS_ELEVATIONS
@@ -105,7 +105,7 @@ class Reader:
         return self._data[body : self._at]
 
     def end(self) -> None:
-        """Makes sure that nothing is left.
+        """Checks that no bytes are left.
 
         Raises:
             CodecError: bytes are left.
@@ -115,7 +115,7 @@ class Reader:
 
 
 def read_payload(data: bytes) -> tuple[Head, Reader]:
-    """Reads the prefix and checks what it claims against the limits.
+    """Reads the prefix and checks its sizes against the limits.
 
     Raises:
         CodecError: it is not a scan, or claims a size beyond the limits.
@@ -157,7 +157,7 @@ def _read_elevations(section: bytes, channels: int) -> tuple[float, ...]:
 
 
 def claimed_points(payload: npt.NDArray[np.uint8]) -> int:
-    """Returns how many points a payload claims, without a look at the rest; 0 if it is too short.
+    """Returns how many points a payload's prefix states; 0 if the payload is too short.
 
     One that claims more than the limit is refused before anything is allocated: it counts as 0.
     """

@@ -88,7 +88,7 @@ _START_M = 10.0
 
 
 def distance_marks(units_per_m: float) -> I8:
-    """Returns the distances in units that the model looks at, and last the one it starts at."""
+    """Returns the distances, in units, that separate contexts, and last the one to start at."""
     return np.array([min(int(m * units_per_m), MAX_UNITS) for m in (*_FAR_M, _START_M)], np.int64)
 
 
@@ -145,7 +145,7 @@ def classify(shift: int, low: int, classes: U2) -> None:
 def describe_lower_ring(
     below: I4, kinds: U1, slopes: I4, bases: I2, wide: int, shift: int, marks: I8
 ) -> None:
-    """Fills how the ring below runs at each beam.
+    """Fills the slope and the context base of the ring below at each beam.
 
     Args:
         below: its ranges.

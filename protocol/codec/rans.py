@@ -75,7 +75,7 @@ STATES = 8
 SHARE_BITS = 12
 SHARES = 1 << SHARE_BITS
 TURN_SHIFT = 16  # of the state's number above the symbol
-START = 1 << 16  # every state begins and ends here, which tells a damaged payload
+START = 1 << 16  # every state begins and ends here, which reveals a damaged payload
 
 
 @njit("int64(uint32[::1], int64, uint16[:,::1], uint16[::1])", cache=True, nogil=True)
@@ -123,7 +123,7 @@ def encode_symbols(symbols: U4, count: int, shares: U2, words: U2) -> int:
 
 @njit("void(uint16[:,::1], uint8[:,::1], uint32[:,::1])", cache=True, nogil=True)
 def fill_lookup(shares: U2, slots: U1, place: U4) -> None:
-    """Fills what the decoder looks up: the token of each slot, and each token's place."""
+    """Fills the decoder's look-up tables: the token of each slot, and each token's place."""
     contexts, stride = shares.shape
     for context in range(contexts):
         below = 0

@@ -66,7 +66,7 @@ def assign_beams(
     owner: I4,
     misfits: I8,
 ) -> int:
-    """Gives each beam to the first point within reach; returns the number of points without.
+    """Assigns each beam the first point within reach; returns the number of points without a beam.
 
     Args:
         beam: of each point (N,).
@@ -98,7 +98,7 @@ _BIN_RAD = 2.5e-4  # of elevation; rings lie at least eight of these apart
 _REACH = 3  # bins to either side that belong to a ring
 _MISFITS = 0.2  # more than this share: not the cloud of one spinning LiDAR
 _BINS = int(np.pi / _BIN_RAD) + 2
-_FULL_RINGS = 8  # those with the most points tell the columns
+_FULL_RINGS = 8  # those with the most points determine the columns
 _SAMPLE = 4096  # of points
 _USUAL = 0.99  # of the points decide how far beside its beam a point may lie
 _BEAM_SHARE = (0.1, 0.6)  # of the bound, at least and at most
@@ -169,7 +169,7 @@ class RingImage:
     misfits: Ints
 
     def is_sure(self, room_m: float) -> bool:
-        """Tells whether the image takes less than an octree, so that none need be made.
+        """Whether the image certainly takes fewer bytes than an octree, so that none need be made.
 
         It does where next to all points fit and the beams between them are few: then it took 0.26
         to 0.86 of the octree's bytes, at bounds to 10 cm.

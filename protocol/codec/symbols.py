@@ -204,7 +204,7 @@ def read_tables(data: U1, table_of: U1, levels: U1) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SymbolStream:
-    """What a decoder needs: words with zeros behind them, `end` of the words, and tables.
+    """A stream of symbols to decode: words with zeros behind them, `end` of the words, and tables.
 
     `table_of` is the table of each context, `slots` (tables * 4096,) and `place`
     (tables * stride,) are those of `fill_lookup`.
@@ -245,7 +245,7 @@ def unpack_symbols(reader: Reader, shape: tuple[int, int], room: int) -> SymbolS
     Args:
         reader: of the payload.
         shape: how many contexts the form has, and how many tokens each.
-        room: how many words the decoder may read beyond the end before it looks.
+        room: how many words the decoder may read beyond the end before it checks.
 
     Raises:
         CodecError: they do not hold tables and words.

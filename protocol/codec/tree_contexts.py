@@ -1,7 +1,7 @@
-"""Contexts of an octree's symbols: where the points before lie beside a cell, and how close.
+"""Contexts of an octree's symbols: position and density of the preceding points.
 
 Surfaces go on: a cell is likely occupied where the last point lies, and flat where its parent is.
-So does the density of points: where the last two were alone tells how many levels down the next is.
+So does the density of points: the level at which the last two were alone predicts that of the next.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 Times ending in `_ns` without `sim_` come from `time.monotonic_ns` of the process that wrote them.
 Poses are x, y, z in m and roll, pitch, yaw in rad, in the map frame.
 
-Every number, text and list has a bound, so that one absurd message cannot spoil what is kept.
-Where links are virtual, `arrival_sim_ns` says when, in simulated time, the edge has a message, and
-`delay_sim_ns` how long after the frame's time a result is there; else they are None. What arrives
-at `NEVER_NS` was taken off the link before it left.
+Every number, text and list has a bound, so that one absurd message cannot spoil stored results.
+Where links are virtual, `arrival_sim_ns` is when, in simulated time, the edge receives a message,
+and `delay_sim_ns` how long after the frame's time a result arrives; else they are None. A message
+that arrives at `NEVER_NS` was recalled from the link before it left.
 """
 
 from protocol.limits import MAX_DELAY_NS, MAX_ITEMS

@@ -104,7 +104,7 @@ class Message(BaseModel):
 
 
 class Part(BaseModel):
-    """Base of what messages hold lists of."""
+    """Base of the records that messages hold in lists."""
 
     model_config = ConfigDict(allow_inf_nan=False)
 
@@ -220,7 +220,7 @@ DelayNs = Annotated[int, Field(ge=0, le=MAX_DELAY_NS)]
 
 
 class ObjectClass(IntEnum):
-    """What detectors tell apart: lorries and buses are trucks, two-wheelers have a motor or none.
+    """Classes of detected objects: lorries and buses are trucks, two-wheelers have a motor or none.
 
     Pedestrians are no vehicles: they are not counted in lanes.
     """

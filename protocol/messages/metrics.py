@@ -40,8 +40,8 @@ class Span(Part):
 class Upload(Part):
     """One chunk as its sender saw it.
 
-    It went to the edge of `region`. `link_sim_ns` is its time on a virtual link, the queue before
-    it included.
+    It was sent to the edge of `region`. `link_sim_ns` is its time on a virtual link, the queue
+    before it included.
     """
 
     agent: AgentId
@@ -57,7 +57,7 @@ class Upload(Part):
 
 
 class WireCount(Part):
-    """What an agent sent and received from one frame's begin until the next one's, as IP packets.
+    """Bytes that an agent sent and received between two frame starts, as IP packets.
 
     Everything is in it: scans and poses, its share of its process's rosters, plans,
     acknowledgements, headers of Zenoh, TLS, TCP and IP, and repetitions.
@@ -82,10 +82,10 @@ Score = Annotated[float, Field(ge=0, le=1)]
 
 
 class AgentScore(Part):
-    """How far the edge trusts an agent, 0 to 1; one that is not trusted is excluded from the frame.
+    """Misbehaviour score of an agent, 0 (excluded from the frame) to 1 (trusted).
 
-    Of this frame alone: its motion, its place on the road, the ground in its cloud; None where
-    nothing speaks for it or against it.
+    Of this frame alone: its motion, its position on the road, the ground in its cloud; None where
+    there was nothing to check.
     """
 
     agent: Id
@@ -97,10 +97,10 @@ class AgentScore(Part):
 
 
 class AgentAlignment(Part):
-    """By how much the edge takes an agent's poses to be off: claimed minus found, map frame.
+    """Pose error of an agent, as the edge estimates it: claimed minus found, map frame.
 
     `std_m` is the standard deviation of x and of y, the larger. Of the scan's `points` where the
-    edge's static map knows what is there, the share `inliers` fits it.
+    edge's static map has data, the share `inliers` fits it.
     """
 
     agent: Id
@@ -115,7 +115,9 @@ class AgentAlignment(Part):
 
 
 class Metrics(Message):
-    """What one process did in one frame. `drops` counts since its start, by reason.
+    """Metrics of one process in one frame.
+
+    `drops` counts since its start, by reason.
 
     `scores` are of agents that are excluded, and of those whose score has changed; `alignments` are
     of those whose scan of this frame was registered.

@@ -106,7 +106,7 @@ class Scan(Message):
 
 
 class Objects(Message):
-    """What an agent that detects for itself found, in the place of a scan.
+    """Objects that an agent detected on board, sent instead of a scan.
 
     Boxes are as in `Detections`, in the map frame as the agent estimates it.
     """
@@ -132,12 +132,12 @@ class Objects(Message):
 class Detections(Message):
     """Vehicles and people of a frame; `classes` are of `ObjectClass`.
 
-    Boxes are x, y, z of the centre, length, width, height in m and yaw in rad. `distances_m` is
-    the way to the stop bar, negative behind it. `sources` is "lidar" or the agent whose own pose
-    it is. `lanes` holds an empty string where a box is on no lane.
+    Boxes are x, y, z of the centre, length, width, height in m and yaw in rad. `distances_m` is the
+    distance along the lane to the stop bar, negative behind it. `sources` is "lidar" or the agent
+    whose own pose it is. `lanes` holds an empty string where a box is on no lane.
 
     Each box is that of a track (see docs/tracking.md): `track_ids` are unique in a run's city, 0
-    where nothing tracks. `speeds_mps` are along the heading, `ages_s` since the track's first
+    without tracking. `speeds_mps` are along the heading, `ages_s` since the track's first
     detection. A track that was not detected in this frame coasts: `coasted_s` is the time since it
     last was, 0 for all others, and its score is the probability that the vehicle is still there.
     Standard deviations are those of the position along the heading and of the speed.
@@ -203,7 +203,7 @@ class LaneCounts(Message):
 
 
 class BorderObjects(Message):
-    """What a region's edge knows of the strips that it shares with its neighbours.
+    """Objects in the border strips that a region's edge shares with its neighbours.
 
     Boxes are as in `Detections`, before the owners of the lanes are known; `position_std_m` is as
     in `AgentPose`, 0 for boxes of LiDARs. `sensors` are the places of the sensors whose data were
@@ -243,7 +243,7 @@ class BorderObjects(Message):
 
 
 class Plan(Message):
-    """What an agent shall send: its part of the scene from `frame` on, until a newer plan comes.
+    """Upload plan of an agent: its part of the scene from `frame` on, until a newer plan comes.
 
     The parts are cells of a power diagram: a place x, y belongs to the agent with the least
     |place - site|^2 - weight, ties to the first of the list. `sites` are in m in the map frame, in
@@ -286,7 +286,7 @@ class SignalState(Message):
 
 
 class SignalRequest(Message):
-    """A policy's wish: the green state to be shown, one character per link.
+    """A policy's wish: the green state to show, one character per link.
 
     `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
     plan. `unknown` are the lanes without sensor coverage, whose vehicles were estimated. `advised`
@@ -306,7 +306,7 @@ class SignalRequest(Message):
 
 
 class SpeedAdvice(Message):
-    """At what speed a vehicle reaches a signal's stop bar when it may pass (GLOSA).
+    """Speed advice (GLOSA): the speed at which a vehicle reaches the stop bar at green.
 
     None ends an earlier advice of the same signal: the vehicle drives freely.
     """

@@ -38,7 +38,7 @@ from protocol.messages.fields import (
 from protocol.roadmap import RoadMap
 
 PARKED, PEDESTRIAN = "parked~", "pedestrian~"
-"""What ids of bodies begin with that are no vehicles in traffic; no vehicle's id does."""
+"""Id prefixes of bodies that are not vehicles in traffic; no vehicle's id begins so."""
 
 
 def is_bystander(body: str) -> bool:
@@ -69,7 +69,7 @@ class MeshPart(Part):
 
 
 class Setup(Message):
-    """What every process is given before the first frame.
+    """Setup of a run, which every process receives before the first frame.
 
     Meshes are unit sized: the footprint's centre at the origin on the ground, x forward, extent 1
     along each axis. Triangles index into their own mesh; each has its `Material` in
@@ -101,12 +101,12 @@ class Setup(Message):
 
     @property
     def parked_ids(self) -> list[str]:
-        """What the parked cars are called in ticks and sightings (P,)."""
+        """Ids of the parked cars in ticks and sightings (P,)."""
         return [f"{PARKED}{n}" for n in range(len(self.parked_types))]
 
 
 class Tick(Message):
-    """A frame begins: whom each process plays, and which tiles of the map hold bodies.
+    """Start of a frame: which process plays which agents, and which map tiles hold bodies.
 
     `hosts` is an index into `processes`: the vehicle process that plays this agent, or -1. Where
     the bodies of a tile are now is in its `TileBodies` of the frame `since`: they are not
@@ -168,7 +168,7 @@ class TileBodies(Message):
 
 
 class TileRequest(Message):
-    """A process lacks the bodies of these tiles (T, 2), column and row: they are sent again."""
+    """Request to publish bodies again: of tiles (T, 2), column and row, that a process lacks."""
 
     kind: ClassVar[int] = 22
     tiles: Cells
@@ -181,7 +181,7 @@ class TileRequest(Message):
 
 
 class Truth(Message):
-    """What perception ought to have seen; for the recorder alone."""
+    """Ground truth of a frame; for the recorder alone."""
 
     kind: ClassVar[int] = 3
     max_header_bytes: ClassVar[int] = MAX_WORLD_HEADER_BYTES
@@ -211,7 +211,7 @@ class Truth(Message):
 
 
 class Sighting(Message):
-    """How many points of an agent's scan lay on which vehicles; for the recorder alone.
+    """Number of points of an agent's scan on each vehicle; for the recorder alone.
 
     Vehicles without a point are left out.
     """
@@ -279,7 +279,7 @@ def _check_equipment(equipment: npt.NDArray[np.uint8]) -> None:
 
 
 class TimeReply(Message):
-    """What the host of the world bus answers to who asks for its clock."""
+    """Reply of the world bus's host to a query for its clock."""
 
     kind: ClassVar[int] = 17
     machine: Text
@@ -288,7 +288,7 @@ class TimeReply(Message):
 
 
 class ClockReading(Message):
-    """What to add to a process's clock to have that of the world bus's host.
+    """Offset from a process's clock to that of the world bus's host.
 
     It is wrong by `error_ns` at most; both are 0 on the same machine.
     """

@@ -1,4 +1,4 @@
-"""The agents of a folder of scans: whose clouds, their poses and times."""
+"""The agents of a folder of scans: their clouds, poses and times."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _STAMP_OFF_S = 0.05  # half a revolution
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agent:
-    """Its clouds come from one sensor or from several, merged into the vehicle's frame.
+    """An agent with clouds from one sensor, or from several that are merged in the vehicle's frame.
 
     `files` has those of a frame together, by sensor; `mounts` are `vehicle_SE3_sensor`.
     """
@@ -46,7 +46,7 @@ class Agent:
         return PointCloud(np.concatenate(points), np.concatenate(shade))
 
     def pose(self, number: int) -> Floats:
-        """Returns the pose (6,) of a frame's files; of a sensor that stood still, always one."""
+        """Returns the pose (6,) of a frame's files; constant for a stationary sensor."""
         return np.asarray(self.track.poses[number if len(self.track.poses) > 1 else 0])
 
     @property
@@ -63,7 +63,7 @@ class Agent:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """What the user named: a folder of clouds, poses, and how sensors are mounted, if several.
+    """User input: a folder of clouds, poses, and sensor mounts if there are several.
 
     With `refine`, that is a first guess; see `recording.foreign_scans.alignment`.
     """
@@ -111,7 +111,7 @@ def agents_of(source: Source) -> list[Agent]:
 
 
 def check_clocks(agents: Sequence[Agent], period_s: float, path: Path) -> None:
-    """Finds agents whose poses were timed by other clocks, or whose frames are not together.
+    """Checks that agents' frames are synchronous, by the times of their poses.
 
     Raises:
         ConfigError: the times of a frame are more than half a period apart.

@@ -1,8 +1,8 @@
-"""Extrinsics that are a first guess, refined by what the sensors see together.
+"""Extrinsic calibration: refines a first guess by registering overlapping clouds.
 
 Each sensor is levelled by the ground around it, which gives roll, pitch and height. Heading and
-place are then those that lay most of what stands upright over what the first sensor sees: a search
-around the guess, ever finer. It needs sensors whose views overlap.
+position are then those that put most upright points over those of the first sensor: a search around
+the guess, ever finer. It needs sensors with overlapping fields of view.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _STANDS_M = (0.3, 3.0)  # over the ground: what is compared
 _CELL_M = 0.2
 _HALF_M = 60.0  # of the grid
 _ROUNDS = ((25.0, 1.0, 2.5, 0.5), (3.0, 0.5, 0.5, 0.1), (0.5, 0.1, 0.1, 0.02))
-"""Search: how far the heading may be off (deg) and the place (m), and the steps of both."""
+"""Search: largest error of the heading (deg) and the position (m), and the steps of both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +64,7 @@ def _level(name: str, points: Floats) -> _Levelled:
     up, height_m, share = ground_plane(near)
     if share < _LEAST_SHARE:
         raise ConfigError(f"the sensor {name} sees no ground to be levelled by")
-    # The forward axis stays ahead: the guess gives what it is turned by.
+    # The forward axis keeps its heading: the guess gives the yaw.
     ahead = np.array([1.0, 0.0, 0.0]) - up[0] * up
     if np.linalg.norm(ahead) < 0.1:
         raise ConfigError(f"the sensor {name} looks straight up or down: it has no heading")
@@ -97,7 +97,7 @@ def ground_plane(points: Floats) -> tuple[Floats, float, float]:
 
 
 def _standing(points: Floats) -> Floats:
-    """Returns the places (M, 2) of what stands upright within the grid, one of each cell."""
+    """Returns the places (M, 2) of upright points within the grid, one of each cell."""
     return cells(points[(points[:, 2] > _STANDS_M[0]) & (points[:, 2] < _STANDS_M[1]), :2])
 
 
@@ -108,7 +108,7 @@ def cells(places: Floats) -> Floats:
 
 
 def occupied(places: Floats) -> Floats:
-    """Returns a grid of what stands where, 1 there and less beside it."""
+    """Returns a grid of occupied places, 1 there and less beside them."""
     side = round(2 * _HALF_M / _CELL_M)
     grid = np.zeros((side, side))
     cells = np.floor((places + _HALF_M) / _CELL_M).astype(np.int64)
@@ -121,7 +121,7 @@ def occupied(places: Floats) -> Floats:
 
 
 def search(places: Floats, grid: Floats, start: Floats) -> Floats:
-    """Returns x, y, yaw (3,) near the start at which most places lie where something stands."""
+    """Returns x, y, yaw (3,) near the start at which most places lie on occupied cells."""
     best = start
     for turn_deg, step_deg, off_m, step_m in _ROUNDS:
         turns = np.radians(np.arange(-turn_deg, turn_deg + step_deg / 2, step_deg))

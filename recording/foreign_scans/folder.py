@@ -1,4 +1,4 @@
-"""Which file of a folder is the scan of which agent, sensor and frame."""
+"""Files of a folder of scans: finds the agent, sensor and frame of each."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def agent_name(folder: Path) -> str:
 def by_agent(folder: Path, files: Iterable[Path]) -> dict[str, list[Path]]:
     """Returns files in order by agent: the first folder below, or this one where there is none.
 
-    Where two folders below would have one name, their whole paths tell them apart.
+    Where two folders below would have one name, their whole paths distinguish them.
     """
     groups: dict[tuple[str, ...], list[Path]] = {}
     for file in sorted(files):

@@ -1,8 +1,8 @@
-"""The ground below scans from elsewhere, as far as they and their poses tell.
+"""Ground model of imported scans, estimated from clouds and poses.
 
 Each square metre of a scan has a vote, its lowest point. Planes are fitted to the votes around the
 nodes of a grid, from the sensors outwards: each begins from those of its neighbours, so that walls
-and cars do not draw it up, and where few votes are it goes on as they do.
+and cars do not raise it, and where votes are few it extrapolates its neighbours.
 """
 
 from __future__ import annotations

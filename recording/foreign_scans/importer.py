@@ -1,4 +1,4 @@
-"""Writes clouds of agents as an MCAP recording over an open ground, as if they were a run."""
+"""Writes clouds of agents as an MCAP recording of a run on a synthetic open ground."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from sensing.config import UploadConfig
 OPEN_GROUND = "open-ground"
 BEYOND_M = 100.0
 _STEP_M, _BEYOND_STEP_M = 2.0, 5.0  # between the points of a way, and beyond its ends
-_APART_M = 15.0  # scans whose ground is looked at
+_APART_M = 15.0  # scans from which the ground is estimated
 _FALLS_M, _NARROWEST_M = 0.2, 1.5  # of a lane to one side; what it is cut into
 _FASTEST_MPS = 60.0
-_GREEN = "G"  # the one state of a signal that nobody minds
+_GREEN = "G"  # the one state of a placeholder signal
 
 
 def height_over_ground_m(cloud: PointCloud, map_SE3_sensor: SE3) -> float:
-    """Returns how high a sensor is over the ground, which most of what is near it belongs to.
+    """Returns the height of a sensor over the ground, the plane with most points near it.
 
     0 where it sees nothing below it.
     """
@@ -49,14 +49,14 @@ def height_over_ground_m(cloud: PointCloud, map_SE3_sensor: SE3) -> float:
 def ground_of(
     scans: Iterable[tuple[Floats, SE3]], ways: Mapping[str, Floats], *, width_m: float
 ) -> Ground:
-    """Returns the ground along ways, poses (N, 6), so broad; of scans see `Ground.of`."""
+    """Returns the ground along paths, poses (N, 6), of this width; for scans see `Ground.of`."""
     return Ground.of(scans, [_line(poses)[:, :2] for poses in ways.values()], width_m)
 
 
 def scans_along(
     agents: Sequence[Agent], ways: Mapping[str, Floats]
 ) -> Iterator[tuple[Floats, SE3]]:
-    """Yields the agents' scans well apart on their ways: points (N, 3) and `map_SE3_sensor`."""
+    """Yields the agents' scans well apart on their paths: points (N, 3) and `map_SE3_sensor`."""
     for agent in agents:
         for number in _looked_at(ways[agent.name]):
             points = agent.cloud(number).points.astype(np.float64)
@@ -73,16 +73,16 @@ def _looked_at(poses: Floats) -> list[int]:
 
 
 def open_ground(ways: Mapping[str, Floats], ground: Ground, *, width_m: float) -> RoadMap:
-    """Returns a map with one lane along each way, so broad that all that matters lies on it.
+    """Returns a map with one lane along each path, so wide that all relevant points lie on it.
 
-    Its direction is that of the way, which vehicles along it have as well. Where the ground falls
+    Its direction is that of the path, which vehicles along it have as well. Where the ground falls
     to a side, the lane is cut into narrow ones. No lane leads to the signal, so that none is
     counted.
 
     Args:
         ways: poses (N, 6) on the ground by name, in the order in which they were passed.
-        ground: below the ways and around them.
-        width_m: of the lanes; before and behind a way they go on for `BEYOND_M`.
+        ground: below the paths and around them.
+        width_m: of the lanes; before and behind a path they continue for `BEYOND_M`.
     """
     lanes = [
         lane
@@ -105,7 +105,7 @@ def open_ground(ways: Mapping[str, Floats], ground: Ground, *, width_m: float) -
 
 
 def _line(poses: Floats) -> Floats:
-    """Returns the middle (K, 2) of a way, and of what is before and behind it."""
+    """Returns the middle (K, 2) of a path, and of its extension before and behind."""
     middle = [poses[0, :2]]
     for place in poses[1:, :2]:
         if np.hypot(*(place - middle[-1])) >= _STEP_M:
@@ -151,7 +151,7 @@ _STD_M = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedScans:
-    """Agents with the height of each of them over the ground, and how many frames they play."""
+    """Agents with their heights over the ground, and the number of frames to play."""
 
     agents: Sequence[Agent]
     heights_m: dict[str, float]

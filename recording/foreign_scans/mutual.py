@@ -1,7 +1,7 @@
-"""Mutual alignment: whether what agents see together lies where their poses put it.
+"""Mutual alignment: checks agents' poses against each other by scan registration.
 
-Walls that several agents see are doubled where a pose is wrong. What stands upright in a scan is
-moved until most of it lies over what the others see: first by a search in the plane, then by
+Walls that several agents see are doubled where a pose is wrong. The upright points of a scan are
+moved until most of them lie over those of the others: first by a search in the plane, then by
 point-to-plane ICP (`small_gicp`).
 """
 
@@ -33,8 +33,8 @@ _ALIKE_M, _ALIKE_RAD = 0.4, np.radians(1.0)
 class Misplaced:
     """An agent whose poses contradict those of others.
 
-    `offset` (4,) is by how much they are off: x, y, z in m, map frame, yaw in rad. `before` and
-    `after` are the shares of what stands near what the others see that lie over it.
+    `offset` (4,) is their error: x, y, z in m, map frame, yaw in rad. `before` and `after` are the
+    shares of its upright points near those of the others that lie over them.
     """
 
     agent: str
@@ -55,9 +55,9 @@ class Misplaced:
 
 
 def misplaced(agents: Sequence[Agent]) -> list[Misplaced]:
-    """Returns the agents whose scans lie elsewhere than those of the others, in most frames.
+    """Returns the agents whose scans contradict those of the others, in most frames.
 
-    Against whom, decides the majority; of two, the one that sees more is taken to be right.
+    The majority decides which are wrong; of two, the one that sees more is taken to be right.
     """
     count = len(agents[0].files)
     frames = sorted({0, count // 2, count - 1})
@@ -79,7 +79,7 @@ def misplaced(agents: Sequence[Agent]) -> list[Misplaced]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Where a sensor is (3,), and what stands and lies around it (N, 3): along the map's axes."""
+    """A sensor's position (3,), and the points around it (N, 3), along the map's axes."""
 
     sensor_m: Floats
     stands: Floats
@@ -146,7 +146,7 @@ def _are_alike(offsets: Floats) -> bool:
 
 
 def _against(name: str, seen: _Seen, others: Sequence[_Seen]) -> Misplaced | None:
-    """Returns how a scan lies against others; None where they see too little together."""
+    """Registers a scan against others; None where they overlap too little."""
     origin = others[0].sensor_m
     around = np.concatenate([one.stands + one.sensor_m - origin for one in others])
     if min(len(around), len(seen.stands)) < _LEAST_KNOWN:
@@ -178,7 +178,7 @@ def _against(name: str, seen: _Seen, others: Sequence[_Seen]) -> Misplaced | Non
 
 
 def _fits(tree: small_gicp.KdTree, points: Floats) -> tuple[float, int]:
-    """Returns the share of points (N, 3), near what others see, that lie over it; their number."""
+    """Returns the share of points (N, 3), near those of others, that fit them; their number."""
     _, squares = map(np.asarray, tree.batch_nearest_neighbor_search(points))
     known = int((squares < _KNOWN_M**2).sum())
     return float((squares < _SAME_M**2).sum()) / max(known, 1), known

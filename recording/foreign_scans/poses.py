@@ -1,4 +1,4 @@
-"""Poses of agents and mounts of sensors, from tables and text files of other people.
+"""Readers of poses and extrinsics: CSV, EMP, TUM, KITTI, Argoverse 2, OpenCalib.
 
 A pose is that of the sensor, or of the vehicle where extrinsics give how sensors are mounted on it.
 

@@ -1,4 +1,4 @@
-"""MCAP recordings of both buses, which survive a kill.
+"""MCAP recordings of both buses, which survive SIGKILL.
 
     format             names of files and metadata, schemas of messages
     writer, reader     native messages, as they were published

@@ -19,11 +19,11 @@ SETUP_ATTACHMENT = "setup.msgpack"
 """The attachment with the Setup message, before all else."""
 SETUP_TYPE = "application/x-cpnet"
 RUN_METADATA = "cpnet"
-"""The metadata that says what was recorded: written at the start."""
+"""Metadata record with the facts of the run: written at the start."""
 PREVIOUS_FILE = "goes_on_from"
-"""Among these facts, where a recording has grown long: the name of the file before."""
+"""Key of these facts, in continuation files: the name of the file before."""
 CLOSING_METADATA = "cpnet.closing"
-"""The metadata that says what came of it: written at the end."""
+"""Metadata record with the outcome of the recording: written at the end."""
 ENCODING = "cpnet"
 """The encoding of native messages: `protocol.wire`."""
 TOPIC = "topic"
@@ -31,7 +31,7 @@ TOPIC = "topic"
 
 
 def next_file(folder: Path, stem: str = STEM) -> Path:
-    """Returns the first of STEM.mcap, STEM-2.mcap, … that is after all that are there."""
+    """Returns the first of STEM.mcap, STEM-2.mcap, … after all existing files."""
     last = max((number for number, _ in _numbered(folder, stem)), default=0)
     return folder / (f"{stem}-{last + 1}.mcap" if last else f"{stem}.mcap")
 
@@ -51,7 +51,7 @@ SCHEMA_ENCODING = "jsonschema"
 
 
 class _Schema(GenerateJsonSchema):
-    """Leaves open what JSON schema has no name for; only arrays are such."""
+    """JSON schema generator that leaves types without a JSON schema open: arrays."""
 
     def handle_invalid_for_json_schema(
         self,

@@ -24,12 +24,12 @@ from recording.observation import joined_detections
 
 LAST_TOPIC = "detections"
 CONVERTED_TOPICS = frozenset({"pose", "scan", "truth", LAST_TOPIC})
-_V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of what agents say, and of the truth
+_V2X, _WORLD = "foxglove/v2x", "foxglove/world"  # topics of data, and of the truth
 
 
 @dataclass(frozen=True, slots=True)
 class FoxgloveFiles:
-    """What came of it: the new files, and how many frames are in them."""
+    """Result of a conversion: the new files, and how many frames are in them."""
 
     files: list[Path]
     size_bytes: int
@@ -45,14 +45,14 @@ def export_foxglove(
     """Writes boxes and poses of all frames of a recording, and the clouds of every n-th.
 
     Args:
-        recording: what of it cannot be read is left out, and counted there.
-        next_path: says where a new file is to be.
+        recording: unreadable parts are left out, and counted there.
+        next_path: returns the path of a new file.
         cloud_every: n; frames are counted as the run did.
-        tell: is called with how many frames are done.
+        tell: is called with the number of frames done.
 
     Raises:
         ConfigError: the recording cannot be read, or there can be no such file.
-        CpnetError: the disk is full, or fails; then nothing is left.
+        CpnetError: the disk is full, or fails; then no file is left.
     """
     facts = {name: fact for name, fact in recording.facts.items() if name != PREVIOUS_FILE}
     facts["made_of"] = ", ".join(file.name for file in recording.files)
@@ -74,7 +74,7 @@ def export_foxglove(
         frames.finish()  # the last: no other follows it
         convert_whole()
         writer.close({"frames_left_out": str(frames.left_out)})
-    except BaseException:  # an interruption as well: half of it would look whole
+    except BaseException:  # an interruption as well: a partial file would look complete
         with suppress(CpnetError):
             writer.close({})
         for file in writer.files:
@@ -94,7 +94,7 @@ class FoxgloveConverter:
         self.frames = 0
 
     def convert(self, frame: BufferedFrame) -> None:
-        """Writes what can be read of a frame."""
+        """Writes the readable messages of a frame."""
         self.frames += 1
         stamp_ns = frame.received[0].received_ns
         if self._files_with_road != len(self._writer.files):
@@ -137,7 +137,7 @@ class FoxgloveConverter:
             tree = foxglove_messages.transforms(poses, stamp_ns)
             shapes[f"{_V2X}/transforms"] = tree, time_ns
         for agent, chunks in scans.items():
-            with suppress(CodecError):  # the edge has counted it
+            with suppress(CodecError):  # counted by the edge
                 points = np.concatenate([decode(chunk.payload).points for chunk in chunks])
                 cloud = foxglove_messages.cloud(points, _sensor(agent), stamp_ns)
                 shapes[f"{_V2X}/cloud/{agent}"] = cloud, time_ns

@@ -1,4 +1,4 @@
-"""What was heard, in Foxglove's schemas: https://docs.foxglove.dev/docs/sdk/schemas.
+"""Recorded messages in Foxglove's schemas: https://docs.foxglove.dev/docs/sdk/schemas.
 
 All is in the frame `map`, except clouds, which are in the frame of their sensor. Timestamps are on
 the axis of the recording, as its log times.
@@ -61,7 +61,7 @@ def cloud(points: npt.NDArray[np.float32], sensor: str, stamp_ns: int) -> PointC
 
 
 def agent_pose(pose: Floats, stamp_ns: int) -> PoseInFrame:
-    """Returns the pose (6,) of an agent as it believes it to be."""
+    """Returns the pose (6,) of an agent by its own estimate."""
     return PoseInFrame(timestamp=_stamp(stamp_ns), frame_id=MAP, pose=_pose(pose))
 
 
@@ -84,7 +84,7 @@ def transforms(poses: Mapping[str, Floats], stamp_ns: int) -> FrameTransforms:
 
 
 def detections(message: Detections, stamp_ns: int) -> SceneUpdate:
-    """Returns a box for each vehicle that the edge knows of, faint if it coasts, with its lane."""
+    """Returns a box for each detected vehicle, faint if its track coasts, with its lane."""
     entity = _entity("detections", stamp_ns)
     boxes = message.boxes.astype(np.float64).tolist()
     for (x, y, z, *size, yaw), lane, source, coasted_s in zip(
@@ -142,7 +142,7 @@ def _cube(pose: Sequence[float], size_m: Sequence[float], color: Color) -> CubeP
 
 
 def _pose(pose: Sequence[float] | Floats) -> Pose:
-    """Returns x, y, z in m and roll, pitch, yaw in rad as Foxglove has them."""
+    """Converts a pose, x, y, z in m and roll, pitch, yaw in rad, to Foxglove's message."""
     x, y, z = (float(value) for value in pose[:3])
     i, j, k, w = quaternions(np.array(pose[3:])[None])[0].tolist()
     return Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=i, y=j, z=k, w=w))

@@ -1,7 +1,7 @@
 """Reads an MCAP recording, complete, cut off or still being written.
 
-What a file claims is held against its size and against limits before anything is allocated. A file
-that was cut off or damaged ends where its records can no longer be followed.
+What a file claims is checked against its size and against limits before anything is allocated. A
+file that was cut off or damaged ends where its records can no longer be followed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Record: TypeAlias = Attachment | Channel | DataEnd | Message | Metadata
 
 
 class DamageError(Exception):
-    """A record, or what is in it, is not what it claims."""
+    """A record, or its content, is damaged."""
 
 
 def is_complete(file: IO[bytes]) -> bool:
@@ -60,9 +60,9 @@ def is_complete(file: IO[bytes]) -> bool:
 
 
 def read_records(path: Path) -> Iterator[Record | DamageError]:
-    """Yields what the data section holds, chunks opened, and in the place of what is damaged why.
+    """Yields the records of the data section and its chunks, and an error for each damaged one.
 
-    Of a chunk all comes or nothing does. `DataEnd` is the last, unless the file was cut off.
+    A chunk is yielded completely or not at all. `DataEnd` is the last, unless the file was cut off.
     """
     with path.open("rb") as file:
         for opcode, content in _frames(file):
@@ -73,7 +73,7 @@ def read_records(path: Path) -> Iterator[Record | DamageError]:
 
 
 def _frames(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
-    """Yields opcode and content of each record up to the end of the data, if that is there."""
+    """Yields opcode and content of each record up to the end of the data, if the file has one."""
     file.seek(len(MAGIC))
     while len(frame := file.read(_FRAME.size)) == _FRAME.size:
         opcode, length = _FRAME.unpack(frame)
@@ -129,7 +129,7 @@ def _decompressed(chunk: Chunk) -> bytes:
 
 
 def _single(opcode: int, content: bytes) -> Record | None:
-    """Returns the record, None for one of a kind that says nothing here."""
+    """Returns the record, None for one of a kind that is not needed."""
     stream = ReadDataStream(BytesIO(content))
     found: Record | None = None
     if opcode == Opcode.MESSAGE:
@@ -146,14 +146,14 @@ def _single(opcode: int, content: bytes) -> Record | None:
 
 
 class McapReader:
-    """What was heard in a run.
+    """The recorded messages of a run.
 
     `files` are read in order: a run has several if the recorder was restarted or the file grew.
     `drops` counts, by reason, what could not be read so far.
     """
 
     def __init__(self, path: Path) -> None:
-        """Opens a file and those in which it goes on, or all of a run folder.
+        """Opens a file and its continuation files, or all of a run folder.
 
         Raises:
             ConfigError: it is no recording, or its beginning is damaged.
@@ -170,8 +170,8 @@ class McapReader:
     def messages(self, topics: Iterable[str] | None = None) -> Iterator[Envelope]:
         """Yields the messages of these topics, or of all, in the order in which they came.
 
-        `received_ns` is that of the recording process. All complete chunks are read; what cannot be
-        read is left out and counted in `drops`.
+        `received_ns` is that of the recording process. All complete chunks are read; unreadable
+        parts are left out and counted in `drops`.
 
         Raises:
             ConfigError: a file cannot be read.
@@ -182,7 +182,7 @@ class McapReader:
 
     def _messages_in(self, file: Path, wanted: frozenset[str]) -> Iterator[Envelope]:
         channels: dict[int, tuple[Topic, str] | None] = {}
-        inbox = Inbox()  # checks what comes off a recording as what comes off a bus
+        inbox = Inbox()  # checks recorded messages as those from a bus
         is_cut = True
         try:
             for record in _records(file):
@@ -206,7 +206,7 @@ class McapReader:
         self.is_whole = self.is_whole and not is_cut
 
     def _read_setup(self) -> Setup:
-        """Returns the first that there is: one who was killed at once had no time to write it."""
+        """Returns the first setup found: a recorder that was killed early may have written none."""
         for file in self.files:
             facts, setup = _read_header(file)
             self.facts = facts or self.facts
@@ -219,7 +219,7 @@ class McapReader:
 
 
 def _read_header(file: Path) -> tuple[dict[str, str], bytes | None]:
-    """Returns what a file says of itself before its messages: facts, and the setup as it is."""
+    """Returns the header of a file, before its messages: facts, and the encoded setup."""
     facts: dict[str, str] = {}
     for record in _records(file):
         if isinstance(record, Metadata) and record.name == RUN_METADATA:
@@ -261,7 +261,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _continuation_files(path: Path) -> list[Path]:
-    """Returns the files in which a recording went on when one had grown long."""
+    """Returns the continuation files of a recording."""
     found, last = [], path
     for file in files_in(path.parent, path.stem):
         if file != path and _read_header(file)[0].get(PREVIOUS_FILE) == last.name:
@@ -281,7 +281,7 @@ def _has_end(path: Path) -> bool:
 
 
 def _topic_and_key(channel: Channel, wanted: frozenset[str]) -> tuple[Topic, str] | None:
-    """Returns topic and key of a channel, None if nobody wants it or it is for other tools."""
+    """Returns topic and key of a channel, None if it is not wanted or for other tools."""
     name = channel.metadata.get(TOPIC, "")
     if channel.message_encoding != ENCODING or name not in wanted or name not in TOPICS:
         return None

@@ -23,7 +23,7 @@ SILENCE_NS = 150_000_000
 
 
 class EndOfRecording:
-    """The recorder knows when the last frame is whole: as long as it is there, more may come."""
+    """Detects the end of a run: while the record process is present, more messages may come."""
 
     def __init__(self) -> None:
         self._ended_ns: int | None = None
@@ -32,7 +32,7 @@ class EndOfRecording:
         self._recorders: set[tuple[str, BusName]] = set()
 
     def look(self, presence: Presence, now_ns: int) -> None:
-        """A process appeared or left; without a world nothing more is to come, until it is back.
+        """Handles a process that appeared or left; without a world no messages are expected.
 
         On the V2X bus all are gone for a moment when the edge dies, which hosts it.
         """
@@ -43,15 +43,15 @@ class EndOfRecording:
             self._left_ns = None if presence.alive else now_ns
 
     def begin(self, now_ns: int) -> None:
-        """The world stops."""
+        """Handles the end of the world."""
         self._ended_ns = now_ns if self._ended_ns is None else self._ended_ns
 
     def received(self, now_ns: int) -> None:
-        """A message arrived."""
+        """Registers that a message arrived."""
         self._received_ns = now_ns
 
     def is_over(self, now_ns: int) -> bool:
-        """Whether nothing more is to come, or patience has run out."""
+        """Whether no more messages are expected, or the timeout is over."""
         began_ns = self._left_ns if self._ended_ns is None else self._ended_ns
         if began_ns is None:
             return False
@@ -60,7 +60,7 @@ class EndOfRecording:
 
 
 POLL_S = 0.2
-"""Nobody waits for a recording: what comes meanwhile is taken together, for less work."""
+"""Pause between polls of the inbox: messages are handled in batches, for less work."""
 TRUTH_TOPICS = frozenset({"truth", "sighting"})
 
 
@@ -70,7 +70,7 @@ def recorded_topics(*, truth: bool) -> frozenset[str]:
 
 
 class McapRecorder:
-    """Keeps what comes; a role, see `protocol.process.Role`."""
+    """Records all received messages; a role, see `protocol.process.Role`."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class McapRecorder:
         *,
         truth: bool,
     ) -> None:
-        """Begins a recording, with the truth or without; `stop` is set once the run is over.
+        """Starts a recording, with the truth or without; `stop` is set once the run is over.
 
         Raises:
             ConfigError: the recording cannot be written there.
@@ -96,14 +96,14 @@ class McapRecorder:
 
     @property
     def dropped(self) -> int:
-        """How many messages came, until its end, that are not in the recording."""
+        """Number of messages, until the end of the recording, that are not in it."""
         return (self._inbox.drops if self._drops is None else self._drops).total()
 
     def on(self, item: Envelope | Presence) -> None:
-        """Keeps a message.
+        """Records a message.
 
         Raises:
-            ProtocolError: it cannot be kept.
+            ProtocolError: it cannot be recorded.
             CpnetError: the disk is full, or fails.
         """
         if isinstance(item, Presence):
@@ -117,7 +117,7 @@ class McapRecorder:
             self._ending.begin(time.monotonic_ns())
 
     def poll(self) -> None:
-        """Does what is due when all that came was taken.
+        """Writes due chunks; called when all received messages were handled.
 
         Raises:
             CpnetError: the disk is full, or fails.
@@ -138,7 +138,7 @@ class McapRecorder:
         Raises:
             CpnetError: the disk is full, or fails.
         """
-        self._drops = Counter(self._inbox.drops)  # what comes from now on is none of it
+        self._drops = Counter(self._inbox.drops)  # later drops do not count
         facts = {
             "end_reason": self._reason,
             "messages": str(self.writer.messages),
@@ -159,7 +159,7 @@ def _facts(setup: Setup, *, truth: bool) -> dict[str, str]:
 
 
 def build(context: Context) -> McapRecorder:
-    """Begins `run.mcap`, or the next of that name if it is there; announces that it listens.
+    """Starts `run.mcap`, or the next of that name if it exists; announces that it is ready.
 
     Raises:
         ConfigError: the run folder cannot take it.

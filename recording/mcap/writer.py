@@ -39,10 +39,10 @@ _NEVER_BYTES = 1 << 62
 
 
 class McapFile:
-    """Takes messages; what is older than a second is in the file, if `settle` is called often."""
+    """One MCAP file; messages older than a second are in it, if `settle` is called often."""
 
     def __init__(self, path: Path, setup: bytes, facts: dict[str, str]) -> None:
-        """Begins a file with what is known of the run, and its setup.
+        """Starts a file with the run's facts, and its setup.
 
         Raises:
             ConfigError: the file is there already or cannot be written.
@@ -69,7 +69,7 @@ class McapFile:
 
     @property
     def is_full(self) -> bool:
-        """Whether another file should go on, before the index of this one takes too much memory."""
+        """Whether a continuation file should start: the index of this one takes much memory."""
         return len(self._counts) >= MAX_CHANNELS or self._chunks >= MAX_CHUNKS
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
@@ -110,7 +110,7 @@ class McapFile:
             self._end_chunk()
 
     def close(self, facts: dict[str, str]) -> None:
-        """Writes what came of it, the index and the end, unless that was done or the disk failed.
+        """Writes the outcome, the index and the end, unless that was done or the disk failed.
 
         Raises:
             CpnetError: the disk is full, or fails.
@@ -147,18 +147,18 @@ _PROTOBUF = "protobuf"
 
 
 class McapWriter:
-    """Writes one file after another: the next begins when the index of one has grown large.
+    """Writes a recording in one or more files: the next starts when the index has grown large.
 
-    `messages` counts the native ones. `files` are all that were begun.
+    `messages` counts the native ones. `files` are all that were started.
     """
 
     def __init__(self, next_path: Callable[[], Path], setup: Setup, facts: dict[str, str]) -> None:
-        """Begins the first file.
+        """Starts the first file.
 
         Args:
             next_path: says where a new file is to be.
-            setup: what every process of the run was given.
-            facts: what else readers are to know of the run.
+            setup: the run's setup message.
+            facts: further facts of the run for readers.
 
         Raises:
             ConfigError: the file is there already or cannot be written.
@@ -173,14 +173,14 @@ class McapWriter:
 
     @property
     def size_bytes(self) -> int:
-        """How much is in the files."""
+        """Total size of the files."""
         return self._ended_bytes + self._file.size_bytes
 
     def write(self, item: Envelope) -> None:
-        """Adds a message as it came.
+        """Adds a message as it was received.
 
         Raises:
-            ProtocolError: it has no key, or nobody could read its bytes.
+            ProtocolError: it has no key, or its bytes cannot be decoded.
             CpnetError: the disk is full, or fails.
         """
         sim_time_ns = peek_frame_time(item.data, TOPICS[item.topic].message).sim_time_ns
@@ -194,7 +194,7 @@ class McapWriter:
     def write_shape(self, topic: str, shape: Shape, log_ns: int, sim_time_ns: int | None) -> None:
         """Adds a message for other tools, of this simulated time or of none.
 
-        Its log time is later where something later is in the recording already.
+        Its log time is never before that of an earlier message.
 
         Raises:
             CpnetError: the disk is full, or fails.
@@ -206,7 +206,7 @@ class McapWriter:
         self._file.write(channel, shape.SerializeToString(), log_ns, sim_time_ns)
 
     def settle(self, now_ns: int) -> None:
-        """Sees to it that what came is in the file soon; to be called many times a second.
+        """Writes buffered messages to the file in time; to be called many times a second.
 
         Raises:
             CpnetError: the disk is full, or fails.
@@ -218,7 +218,7 @@ class McapWriter:
             self._file = self._open()
 
     def close(self, facts: dict[str, str]) -> None:
-        """Ends the last file; the facts say what came of it.
+        """Ends the last file; the facts are the outcome.
 
         Raises:
             CpnetError: the disk is full, or fails.

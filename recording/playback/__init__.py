@@ -1,6 +1,6 @@
-"""Plays a recording: the world and the agents publish what was recorded, all others are live.
+"""Playback of a recording: world and agents publish recorded messages, others are live.
 
-frames  the recording frame by frame; what an agent published in a frame, and its upload
-role    the player role, in the place of one process of agents
-world   the recorded world, in the place of SUMO
+frames  the recording frame by frame; an agent's messages in a frame, and its upload
+role    the player role, instead of one process of agents
+world   the recorded world, instead of SUMO
 """

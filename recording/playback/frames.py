@@ -1,4 +1,4 @@
-"""A recording frame by frame: its summary, what an agent published in a frame, and its upload."""
+"""A recording frame by frame: its summary, an agent's messages in a frame, and its upload."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from sensing.radio import AgentKind
 from sensing.uplink import FrameUpload, Uplink
 
 FRAME_TOPIC = "state"
-"""The topic that tells which frames are real: one message a frame, from the world."""
+"""The topic that defines which frames are real: one message a frame, from the world."""
 
 
 class RecordedFrames:
-    """Is read on as frames are asked for, and never back, so that a long recording takes no memory.
+    """Reads a recording forward, frame by frame, so that a long one takes no memory.
 
     Messages are in the order of their arrival: some of a frame may come after others of the
     `MAX_FRAMES_AHEAD` frames that follow it. Later ones are counted in `late`, those with an
@@ -63,7 +63,7 @@ class RecordedFrames:
         )
 
     def take(self, frame: int) -> list[Envelope]:
-        """Returns all of a frame, in the order in which it came, and forgets those before it."""
+        """Returns all messages of a frame, in order of arrival, and forgets earlier frames."""
         self._read_beyond(frame)
         for passed in [number for number in self._waiting if number < frame]:
             del self._waiting[passed]
@@ -92,7 +92,7 @@ class RecordedFrames:
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """So many frames in a row, of which the recording may lack some; `vehicles` are processes."""
+    """Summary of a recording: consecutive frames, some may be missing; `vehicles` are processes."""
 
     frames: int
     vehicles: int
@@ -100,10 +100,10 @@ class RecordingSummary:
 
     @classmethod
     def of(cls, recording: McapReader) -> RecordingSummary:
-        """Goes through a recording once.
+        """Reads a recording once.
 
         Raises:
-            ConfigError: there is no frame on it, or it cannot be read.
+            ConfigError: it has no frame, or cannot be read.
         """
         horizon = SequenceWindow()
         times: set[int] = set()
@@ -131,9 +131,9 @@ Payload = Scan | Objects
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AgentFrame:
-    """What an agent said: its pose, if it drives; chunks without a gap, or boxes; what it saw.
+    """An agent's messages of a frame: pose, if it drives; chunks without a gap, or boxes; sighting.
 
-    `regions` are those that it said it to, `parts` go to one of them each, in the order in which
+    `regions` are those that it sent them to, `parts` go to one of them each, in the order in which
     they were made. `spans` are its own stages, as its process measured them.
     """
 
@@ -150,12 +150,12 @@ class AgentFrame:
 
     @property
     def sense_start_ns(self) -> int | None:
-        """When it began, by its process's clock."""
+        """When the agent began to scan, by its process's clock."""
         return min((part.sense_start_ns for _, part in self.parts), default=None)
 
 
 def agent_frames(process: str, kind: AgentKind, items: Iterable[Envelope]) -> dict[str, AgentFrame]:
-    """Returns by agent what a process published, in the order of its roster.
+    """Returns by agent the messages of a process, in the order of its roster.
 
     A vehicle whose pose is not in the recording is left out: the edge would wait for it.
     """
@@ -187,7 +187,7 @@ class _ProcessFrame:
         self._spans: list[Span] = []
 
     def take(self, item: Envelope) -> None:
-        """Takes what is the process's own; of two of a kind, the first."""
+        """Adds a message of the process; of two of a kind, the first counts."""
         message = item.message
         if isinstance(message, Sighting):
             self._sightings.setdefault(message.agent, message)
@@ -229,7 +229,7 @@ class _ProcessFrame:
 
 
 def _without_gap(chunks: Mapping[int, Scan]) -> list[Scan]:
-    """Returns the chunks from the first on, as if there were no others: none is waited for."""
+    """Returns the chunks from the first up to a gap, as if there were no others to wait for."""
     came = next(n for n in range(len(chunks) + 1) if n not in chunks)
     return [
         chunks[n] if chunks[n].chunks == came else chunks[n].model_copy(update={"chunks": came})
@@ -239,7 +239,7 @@ def _without_gap(chunks: Mapping[int, Scan]) -> list[Scan]:
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """When what was recorded is due in realtime: so long after the frame's begin as it was then."""
+    """Pacing in realtime: recorded messages are due as long after the frame's begin as then."""
 
     recorded_ns: int
     begun_ns: int
@@ -256,9 +256,10 @@ class Pace:
 
 @dataclass(slots=True, eq=False)
 class ReplayedUpload(FrameUpload):
-    """The same chunks or boxes, byte for byte.
+    """Upload of recorded chunks or boxes, byte for byte.
 
-    Their times are moved so that each was made as it is sent: what its agent's work took stays.
+    Their times are moved so that each was made as it is sent: the durations of its agent's work
+    stay.
     """
 
     way: Uplink
@@ -285,7 +286,7 @@ class ReplayedUpload(FrameUpload):
         return self.way.send(self, _moved(part, shift_ns), region, begun_ns)
 
     def _begun_ns(self, chunk: int) -> int:
-        """Returns when it began to be made; as far as is known, right after what came before."""
+        """Returns when its making began: if unknown, right after the one before."""
         _, part = self.recorded.parts[chunk]
         own = [s for s in self.recorded.spans if s.stage == "encode" and s.end_ns == made_ns(part)]
         before_ns = part.sense_end_ns if chunk == 0 else made_ns(self.recorded.parts[chunk - 1][1])

@@ -1,4 +1,4 @@
-"""The player role: publishes, frame by frame, what the agents of one process published."""
+"""The player role: publishes, frame by frame, the recorded messages of one process of agents."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from sensing.uplink import Uplink, UplinkContext
 from sensing.world_view import WorldView
 from vehicle_agent.role import Connections
 
-FORGET_FRAMES = 600  # an agent whose link was full for so long is taken to have left
+FORGET_FRAMES = 600  # an agent whose link was full for so long is assumed to have left
 
 
 class PlayerRole:
     """Stands in for one process of agents, under its id.
 
     All that depends on the link is of this run: which chunks leave, when they arrive, which frames
-    an agent leaves out because its link is full. What was left out of the recording stays out.
+    an agent leaves out because its link is full. What the recording lacks stays missing.
     """
 
     def __init__(self, context: Context, frames: RecordedFrames) -> None:
@@ -82,7 +82,7 @@ class PlayerRole:
         self._station.report(view)
 
     def close(self) -> None:
-        """Accounts for the last frame and hangs up every agent's connection."""
+        """Reports on the last frame and closes every agent's connection."""
         self._forget_all_but(set())
         self._station.report()
         self._connections.close()

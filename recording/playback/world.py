@@ -1,4 +1,4 @@
-"""The recorded world in the place of SUMO, and the sim role around it; signals do not affect it."""
+"""The recorded world instead of SUMO, and the sim role around it; signals do not affect it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class RecordedWorld:
         return self._bodies
 
     def set_signal(self, tls: str, state: str) -> None:
-        """Does nothing: what is recorded goes its way."""
+        """Does nothing: recorded traffic does not follow the signal."""
 
     def take_trips(self) -> list[Trip]:
         """Returns the journeys that ended in the frame that is over."""
@@ -83,11 +83,11 @@ class RecordedWorld:
         return ended
 
     def unfinished_trips(self) -> list[Trip]:
-        """Returns nothing: those that the end cut off are in the recording, with its last frame."""
+        """Returns nothing: unfinished journeys are in the recording, with its last frame."""
         return []
 
     def waiting(self) -> int:
-        """Returns 0: nobody wants to enter."""
+        """Returns 0: no vehicle waits to enter."""
         return 0
 
     def close(self) -> None:
@@ -145,7 +145,7 @@ def sim_role(context: Context) -> SimRole:
         steps=max(1, round(scenario["frame_period_s"] / traffic.step_s)),
         warmup_ns=round(traffic.warmup_s * 1e9),
     )
-    if replay.damaged:  # found before the start; of all who read the recording, this one tells
+    if replay.damaged:  # found before the start; only this process of all readers logs it
         context.inbox.drops["damaged_in_recording"] += replay.damaged
     role = SimRole(context, world, first_frame=world.first_frame, speed=replay.speed)
     return role.open()

@@ -1,1 +1,1 @@
-"""Pages of reports: `model` is their content, `plotting` draws charts, `write` makes files."""
+"""Report pages: `model` is their content, `plotting` draws charts, `write` makes files."""

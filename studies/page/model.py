@@ -1,6 +1,6 @@
 """The content of a page: text, tables and charts, as data.
 
-No plotting library is known here.
+It is independent of any plotting library.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class MapChart:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A bar of a timeline: on which row, from when to when, what it means."""
+    """A bar of a timeline: row, start and end, state."""
 
     row: str
     start: float
@@ -164,7 +164,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of cells; None is a dash. A form that a cell is not made for leaves it as it is."""
+    """Rows of cells; None is a dash. A format that does not fit a cell leaves it unchanged."""
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[Cell, ...], ...]
@@ -200,7 +200,7 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """A headline figure, ready to be read, and what it is."""
+    """A headline figure as text, with its label."""
 
     name: str
     value: str
@@ -238,7 +238,7 @@ DASH = "–"
 
 
 def text_of_cell(cell: Cell, form: str) -> str:
-    """Returns a cell as text; a form that does not fit leaves it as it is."""
+    """Returns a cell as text; a format that does not fit leaves it unchanged."""
     if cell is None or cell != cell:  # noqa: PLR0124 - NaN, which is no figure either
         return DASH
     if isinstance(cell, str):
@@ -259,7 +259,7 @@ def text_rows(table: Table) -> list[list[str]]:
 
 
 def numeric_columns(table: Table) -> list[bool]:
-    """Tells of each column whether it holds numbers, to be aligned right."""
+    """Returns for each column whether it holds numbers, to be aligned right."""
     return [
         any(row[i] is not None for row in table.rows)
         and not any(isinstance(row[i], str) for row in table.rows)
@@ -278,9 +278,9 @@ class Colours:
 
     @classmethod
     def of(cls, page: Page) -> Colours:
-        """Gives each name, in reading order, the first colour that no neighbour has.
+        """Assigns each name, in reading order, the first colour that no neighbour has.
 
-        Neighbours are in one chart. A name with a colour of its own is left aside.
+        Neighbours are in one chart. A name with a colour of its own is skipped.
         """
         neighbours: dict[str, set[str]] = {}
         for figure in page.figures():

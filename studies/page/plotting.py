@@ -32,7 +32,7 @@ def draw_chart(chart: Chart, axes: Axes, colours: Colours) -> list[str]:
     chart = replace(chart, series=tuple(filter(_has_values, chart.series)))
     axes.set(xlabel=chart.x_label, ylabel=chart.y_label)
     axes.set_xscale("log" if chart.x_log else "linear")
-    if chart.x_log:  # what was studied, in plain numbers
+    if chart.x_log:  # ticks at the studied values, in plain numbers
         axes.set_xticks(sorted({x for series in chart.series for x in series.x if x is not None}))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_locator(NullLocator())
@@ -151,7 +151,7 @@ def _array(values: Numbers) -> Floats:
 
 
 def is_tight(names: tuple[str, ...]) -> bool:
-    """Tells whether the labels of categories would run into each other."""
+    """Whether the labels of categories would overlap."""
     return len(names) * (max(map(len, names), default=0) + 2) > _MAX_LEVEL_LETTERS
 
 
@@ -276,5 +276,5 @@ def _legend(canvas: Canvas, axes: Axes, names: list[str]) -> None:
         fontsize=9,
         markerscale=1.5,
     )
-    for text, name in zip(legend.get_texts(), names, strict=True):  # an underscore is no secret
+    for text, name in zip(legend.get_texts(), names, strict=True):  # "_" would hide it
         text.set_text(name)

@@ -1,6 +1,6 @@
 """Pages as files: HTML that needs no other file, or Markdown with its pictures beside it.
 
-What draws and lays out is imported when a page is written: a run needs none of it.
+Libraries for drawing and layout are imported when a page is written: a run needs none of them.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _save(path: Path, option: str, extra: str, rendered: Callable[[], str]) -> N
 
 
 def check_target(path: Path, option: str) -> None:
-    """Refuses a file that could not be written, before the work of filling it.
+    """Checks that a page can be written to a path, before it is made.
 
     The end of its name must be the option's, lest a run or a table be overwritten by its report.
 
@@ -109,7 +109,7 @@ def to_html(page: Page) -> str:
 
 
 class _HtmlBlocks:
-    """Blocks as the template takes them."""
+    """Converts blocks to what the HTML template takes."""
 
     def __init__(self, colours: Colours) -> None:
         self._colours = colours

@@ -1,4 +1,4 @@
-"""Studies of many runs: a file names them, workers run them, a table keeps their figures.
+"""Parameter studies of many runs: a study file, its cells, Dask workers, the table of results.
 
 - `study_file`: the file, its grids and axes
 - `cells`: a scenario with a seed each, and their results on disk

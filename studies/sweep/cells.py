@@ -17,12 +17,12 @@ from protocol.config import is_file
 from protocol.errors import ConfigError
 from studies.sweep.study_file import LISTS, MEASURES, Grid, Label, Point, Settings, Study, points
 
-if TYPE_CHECKING:  # a study's file is read and refused without loading all roles
+if TYPE_CHECKING:  # a study's file is checked without loading all roles
     from studies.sweep.worker import Outcome, Row, Rows
 
 
 SCHEMA = 2
-"""To be raised when `worker.measure` gives other figures for the same run: all is run anew."""
+"""Version, to be raised when `worker.measure` gives other figures for the same run."""
 _DECIDING = (
     *("protocol", "sensing", "vehicle_agent", "infra_agent", "sim_host", "link_relay"),
     *("perception", "edge_server", "signal_controller", "recording", "learning"),
@@ -203,7 +203,7 @@ class ResultStore:
 
 
 def _is_row(row: object) -> bool:
-    """Whether figures are what `worker.measure` gives; others are measured anew."""
+    """Whether figures have the keys of `worker.measure`; others are measured again."""
     if not isinstance(row, dict) or not row:
         return False
     return all(_is_figure(name, value) for name, value in row.items())

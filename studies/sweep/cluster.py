@@ -1,7 +1,7 @@
-"""Where cells run: processes of this machine, or a Dask cluster that is already there.
+"""Dask workers for cells: processes of this machine, or an existing Dask cluster.
 
-Dask sends pickled Python both ways: whoever reaches a scheduler can run any code on its workers and
-clients. A local one listens on loopback only; a remote one must be your own.
+Dask sends pickled Python in both directions: anyone who reaches a scheduler can run any code on its
+workers and clients. A local one listens on loopback only; a remote one must be your own.
 """
 
 from __future__ import annotations

@@ -44,11 +44,11 @@ class ProgressListener(Protocol):
         """A cell failed."""
 
     def idle(self, workers: int) -> None:
-        """Nothing happened for `POLL_S`; says how many workers there are."""
+        """Nothing happened for `POLL_S`; receives the number of workers."""
 
 
 def missing(cells: Iterable[Cell], store: ResultStore) -> list[Cell]:
-    """Returns those that are still to be run; equal ones once."""
+    """Returns the cells that are still to be run; equal ones once."""
     first: dict[str, Cell] = {}
     for cell in cells:
         first.setdefault(cell.id, cell)
@@ -234,7 +234,7 @@ class ProgressDisplay:
         self._print(f"failed  {failure.cell.title}: {failure.reason}")
 
     def idle(self, workers: int) -> None:
-        """Keeps the time left up to date; says so once if there is no worker."""
+        """Keeps the time left up to date; prints once if there is no worker."""
         self._refresh()
         if not workers and not self._is_alone:
             self._print("no worker is connected; the study goes on once one is")

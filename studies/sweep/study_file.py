@@ -135,7 +135,7 @@ def keys_overlap(key: str, other: str) -> bool:
 
 
 def check_settings(settings: Settings, axes: dict[str, Axis]) -> None:
-    """Checks that no axis varies what is to be set.
+    """Checks that no axis varies a key that is to be set.
 
     Raises:
         ConfigError: one does.
@@ -214,7 +214,7 @@ _PAGES: dict[str, dict[str, tuple[str, ...]]] = {
 
 
 class Accuracy(Section):
-    """Detectors judged scan by scan, on samples of the study's junction."""
+    """Accuracy of detectors scan by scan, on samples of the study's junction."""
 
     detectors: list[DetectorName] = Field(min_length=1, description="side by side")
     samples: int = Field(40, ge=1, le=500, description="some seconds apart")
@@ -280,7 +280,7 @@ class Study(Section):
 
 
 def _without_overridden(settings: Settings, stronger: Settings) -> Settings:
-    """Returns settings without those that stronger ones replace, as a whole or wholly."""
+    """Returns settings without those that higher-priority ones replace completely."""
     return {
         key: value
         for key, value in settings.items()
@@ -289,7 +289,7 @@ def _without_overridden(settings: Settings, stronger: Settings) -> Settings:
 
 
 def _partial_overrides(settings: Settings, stronger: Settings) -> list[str]:
-    """Returns the stronger keys that name a part of what one of the settings gives as a whole."""
+    """Returns the higher-priority keys that name a part of a setting with a mapping as value."""
     return [one for one in stronger for key in settings if one.startswith(f"{key}.")]
 
 

@@ -77,7 +77,7 @@ def _with_regions(run: Run, junctions: Figures) -> Rows:
 
 
 def _regions(run: Run, duration_s: float) -> Rows:
-    """Returns what does not depend on how fast a worker is: no latency."""
+    """Returns the figures by region that do not depend on a worker's speed: no latency."""
     return {
         region: {name: found[name] for name in ("agents", "mbps", "handovers")}
         for region, found in regions_of_run(run, duration_s).items()

@@ -1,4 +1,4 @@
-"""The part of CARLA's Python package that is used, as its documentation has it, without a server.
+"""Fake of the used part of CARLA's Python package, after its documentation, without a server.
 
 Angles are in degrees, and `Transform.get_matrix` is CARLA's own, left-handed one. A LiDAR sees of
 each actor one point, 1 m above its place; one that a scan's pattern has no beam for is lost.

@@ -1,4 +1,4 @@
-"""CARLA as a sensor: coordinates, and what is asked of a server that only pretends to be one."""
+"""CARLA as a scan source: coordinates, and calls to a fake server."""
 
 from __future__ import annotations
 
@@ -229,14 +229,14 @@ def test_what_a_dead_process_left_is_taken_away(carla) -> None:
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "error_text"),
     [
         ({"port": 2010}, r"CARLA at 127\.0\.0\.1:2010 .*time-out"),
         ({"town": "Nowhere"}, r"CARLA at 127\.0\.0\.1:2000 .*map not found"),
     ],
 )
-def test_a_server_that_cannot_be_used_is_named(carla, config, said) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_a_server_that_cannot_be_used_is_named(carla, config, error_text) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         source(**config)
 
 
@@ -272,7 +272,7 @@ def test_without_the_package_the_extra_is_named(monkeypatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "error_text"),
     [
         ({}, "terrain_amplitude_m 0 "),
         ({"recording": "somewhere", "traffic.warmup_s": 0}, "recording plays some"),
@@ -280,9 +280,11 @@ def test_without_the_package_the_extra_is_named(monkeypatch) -> None:
         ({"lidar.roadside.points_per_second": 64 * 1801 * 10}, r"even number .*roadside: 1801"),
     ],
 )
-def test_a_scenario_that_carla_cannot_serve_is_refused(carla, installed, settings, said) -> None:
+def test_a_scenario_that_carla_cannot_serve_is_refused(
+    carla, installed, settings, error_text
+) -> None:
     scenario = scenarios.load("t_junction", {"lidar.source": "carla"} | settings)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         check_source(scenario.model_dump(mode="json"))
 
 

@@ -1,4 +1,4 @@
-"""`cpnet` commands as a user starts them, and what tests ask of the processes and run folders.
+"""`cpnet` commands as a user starts them, and queries of their processes and run folders.
 
 To import what `cpnet` needs takes longer than most of the commands that tests give. So a command is
 forked off one process that has imported everything; from outside it is the same: a process of its
@@ -33,7 +33,7 @@ from protocol.starting import ONE_THREAD
 from recording.latency_breakdown import stage_sum_ns
 from recording.run import Run
 from recording.tables import FrameRow, LatencyRow
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 T = TypeVar("T")
 SMALL = [
@@ -81,7 +81,7 @@ class Command:
         self._is_whole = False
         threading.Thread(target=self._pump, args=(own,), daemon=True).start()
 
-    def finish(self, timeout_s: float = PATIENCE_S) -> tuple[int, str]:
+    def finish(self, timeout_s: float = TIMEOUT_S) -> tuple[int, str]:
         """Waits for the end; returns the exit status and what was printed and not yet read."""
         with self._news:
             if not self._news.wait_for(lambda: self._is_whole, timeout_s):
@@ -95,7 +95,7 @@ class Command:
         seen: list[str] = []
         while not (seen and text in seen[-1]):
             with self._news:
-                came = self._news.wait_for(lambda: self._lines or self._is_whole, PATIENCE_S)
+                came = self._news.wait_for(lambda: self._lines or self._is_whole, TIMEOUT_S)
                 if not (came and self._lines):
                     raise AssertionError(f"{self} never printed {text!r}:\n{''.join(seen)}")
                 seen.append(self._lines.pop(0))
@@ -128,7 +128,7 @@ def _interpreter(folder: Path, arguments: list[str], output: Connection) -> subp
 
 
 class _Fork:
-    """As much of `subprocess.Popen` as is asked of a command."""
+    """The part of `subprocess.Popen` that commands use."""
 
     def __init__(self, folder: Path, arguments: list[str], output: Connection, within: str) -> None:
         words = ["cpnet", *arguments]
@@ -298,8 +298,8 @@ def wait_for_frames(command: Command, run_dir: Path) -> None:
     command.wait_until(lambda: rows(run_dir, "frames"), what="no frame was ever recorded")
 
 
-def check_account(run_dir: Path, *, exactly: bool) -> None:
-    """Checks that the stages of every frame and agent sum to its end-to-end time."""
+def check_breakdown(run_dir: Path, *, exactly: bool) -> None:
+    """Checks the latency breakdown: stages of every frame and agent sum to its end-to-end time."""
     with Run(run_dir) as run:
         accounts = list(run.rows(LatencyRow))
         whole = {row.frame: row.end_to_end_ns for row in run.rows(FrameRow)}

@@ -33,7 +33,7 @@ Shared = Callable[[str, Make], Path]
 
 @pytest.fixture(scope="session")
 def shared(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> Shared:
-    """Returns a folder by name, which whoever asks first fills for the tests of all workers."""
+    """Returns a folder by name, which its first user fills for the tests of all workers."""
     base = tmp_path_factory.getbasetemp()
     place = base if worker_id == "master" else base.parent
 

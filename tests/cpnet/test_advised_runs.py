@@ -18,7 +18,7 @@ REPORTS_ALONE = (
     "--set=traffic.cv_rate=0.5",
     "--set=frame_period_s=0.5",
 )
-"""Half of the vehicles report themselves and nobody has a LiDAR: that is quick."""
+"""Half of the vehicles report themselves and none has a LiDAR: that is quick."""
 
 
 def speeds(folder: Path) -> dict[tuple[int, str], float]:
@@ -33,12 +33,12 @@ def test_vehicles_follow_advice_and_the_rows_are_the_same_whatever_the_processes
     status, output = shell.up("--duration=20", *REPORTS_ALONE, *advising, "--out=first").finish()
     assert status == 0, output
     first, alone = shell.folder / "first", shell.folder / "alone"
-    told: list[tuple[int, str, float]] = []
+    obeyed: list[tuple[int, str, float]] = []
     set_speed = World.set_speed
 
     def note(world: World, agent: str, speed_mps: float | None) -> None:
         if speed_mps is not None:
-            told.append((world.time_ns, agent, speed_mps))
+            obeyed.append((world.time_ns, agent, speed_mps))
         set_speed(world, agent, speed_mps)
 
     monkeypatch.setattr(World, "set_speed", note)
@@ -47,8 +47,8 @@ def test_vehicles_follow_advice_and_the_rows_are_the_same_whatever_the_processes
     run_in_process(scenario, alone)
     assert differences(first, alone) == []
     assert rows(alone, "truth") > 0
-    assert len({agent for _, agent, _ in told}) > 3
-    assert all(5 <= speed_mps <= 14 for _, _, speed_mps in told)
+    assert len({agent for _, agent, _ in obeyed}) > 3
+    assert all(5 <= speed_mps <= 14 for _, _, speed_mps in obeyed)
 
     free = shell.folder / "free"
     free.mkdir()
@@ -57,7 +57,7 @@ def test_vehicles_follow_advice_and_the_rows_are_the_same_whatever_the_processes
     with_advice, without = speeds(alone), speeds(free)
     start_ns = round(scenario["traffic"]["warmup_s"] * 1e9)
     ns = round(scenario["frame_period_s"] * 1e9)
-    at = [((time_ns - start_ns) // ns + 1, agent) for time_ns, agent, _ in told]
+    at = [((time_ns - start_ns) // ns + 1, agent) for time_ns, agent, _ in obeyed]
     slower = [
         with_advice[one] < without[one] - 1 for one in at if one in with_advice and one in without
     ]

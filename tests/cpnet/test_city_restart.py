@@ -1,4 +1,4 @@
-"""`--restart` in a city: who dies takes himself along, and the others' frames go on.
+"""`--restart` in a city: a killed process is restarted, and frames of other regions continue.
 
 All is right again within 3 s by the run's own clock, its frames. A machine that others load may be
 too slow for that: there it may take longer, as loading the programs alone takes longer, and a
@@ -49,7 +49,7 @@ GO_ON = {
     "vehicle-0": ["r0", "r1"],  # without its uploads
     "router": [],  # it serves both
 }
-"""By victim the regions that miss no frame meanwhile."""
+"""By killed process the regions that miss no frame meanwhile."""
 _RIGHT = """
 SELECT (SELECT count(*) FROM region_frames r WHERE r.frame = f.frame AND complete) = 2
    AND (SELECT count(*) FROM requests q WHERE q.frame = f.frame) = 5

@@ -1,4 +1,4 @@
-"""The files in deploy/ are what they are said to be: Dockerfile, compose file, systemd unit."""
+"""Deployment files in deploy/ are valid: Dockerfile, compose file, systemd unit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ METRICS_PORT = "9464"
 
 
 def parsed(words: list[str]) -> dict[str, Any]:
-    """What `cpnet up` understands; an option that it has not is refused."""
+    """Parses options of `cpnet up`; unknown ones are refused."""
     up = command().commands["up"]  # type: ignore[attr-defined]
     return up.make_context("up", list(words)).params
 

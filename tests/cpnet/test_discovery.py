@@ -1,4 +1,4 @@
-"""How whoever looks on finds a run."""
+"""How observers find a run."""
 
 import io
 import json
@@ -23,7 +23,7 @@ from protocol.topics import BusName
 from tests.certificates import make_keys
 from tests.cpnet.commands import Shell, free_ports
 from tests.messages import EXAMPLES
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 BUSES = {
     BusName.V2X: Endpoint("tcp/0.0.0.0:7447", listen=True),
@@ -95,22 +95,22 @@ def test_a_folder_and_a_place_are_one_too_many(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("made", "said"),
+    ("made", "error_text"),
     [
         (None, "would start one"),
         ("run.sqlite", "it has ended: `cpnet report"),
         ("else", "it is no run folder"),
     ],
 )
-def test_what_can_be_done_instead_is_said(tmp_path, made, said):
+def test_what_can_be_done_instead_is_said(tmp_path, made, error_text):
     if made is not None:
         (tmp_path / "run").mkdir()
         (tmp_path / "run" / made).touch()
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         find_run(tmp_path / "run", [], None)
 
 
-WAIT_S = PATIENCE_S
+WAIT_S = TIMEOUT_S
 ENDS_WITHIN_S = 10.0
 
 
@@ -131,7 +131,7 @@ def host(place: Endpoint) -> Iterator[ZenohBus]:
     bus.close()
 
 
-def said(console: Console) -> str:
+def printed(console: Console) -> str:
     assert isinstance(console.file, io.StringIO)
     return console.file.getvalue()
 
@@ -156,7 +156,7 @@ def test_a_world_that_does_not_come_is_named_with_all_the_time_it_had(place, con
         connected_to_world(place, console, wait_forever=False),
     ):
         pass
-    assert said(console).count("waiting for the world bus") == 1
+    assert printed(console).count("waiting for the world bus") == 1
 
 
 def test_keys_of_another_authority_are_named(tmp_path, console, monkeypatch):
@@ -188,7 +188,7 @@ def test_who_lasts_waits_beyond_the_time_and_says_why_once(console):
     waiting._began_s -= discovery.JOIN_TIMEOUT_S
     for _ in range(2):
         waiting.wait(BusError("nothing answers"))
-    assert said(console).splitlines() == [
+    assert printed(console).splitlines() == [
         "waiting for the world bus (Ctrl-C ends); `cpnet doctor --connect` tells what is wrong",
         "still waiting: nothing answers",
     ]
@@ -199,7 +199,7 @@ def test_the_setup_is_what_the_host_serves(place, host, console):
     host.serve("setup", setup)
     with connected_to_world(place, console, wait_forever=False) as world:
         assert world.setup().scenario == setup.scenario
-    assert said(console) == ""
+    assert printed(console) == ""
 
 
 def test_a_world_of_another_version_is_named_at_once(place, host, console, monkeypatch):
@@ -242,7 +242,7 @@ def test_who_lasts_waits_until_what_is_left_of_a_lost_machine_has_gone(place, ho
         going.start()
         world.refuse_duplicates(["vehicle-0"])
         going.join()
-    assert said(console).splitlines() == ["waiting for another vehicle-0 to be gone"]
+    assert printed(console).splitlines() == ["waiting for another vehicle-0 to be gone"]
 
 
 def test_who_lasts_gives_up_on_one_that_stays(place, host, console, monkeypatch):

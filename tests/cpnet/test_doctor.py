@@ -1,4 +1,4 @@
-"""What the doctor finds: on this machine, on a bus elsewhere, and when a check goes wrong."""
+"""Findings of `cpnet doctor`: on this machine, on a bus elsewhere, and when a check fails."""
 
 import io
 import json
@@ -136,7 +136,7 @@ def test_a_world_tells_its_clock_and_who_is_there(host):
     clock = found["world_clock"].measured
     assert (clock["offset_ms"], clock["error_ms"]) == (0, 0)
     assert clock["round_trip_ms"] > 0
-    assert not found["world_version"].ok  # nobody serves a setup here
+    assert not found["world_version"].ok  # no process serves a setup here
     assert found["world_version"].is_well
 
 

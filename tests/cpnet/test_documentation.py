@@ -1,4 +1,4 @@
-"""What the site says is made from the code, says all of it, and leads nowhere else."""
+"""Documentation is generated from the code, complete, and without broken links."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from protocol.topics import TOPICS
 from recording.tables import TABLES
 from sensing.upload_policies import POLICIES
 from studies.bench import POLICY_CHOICES
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 ROOT = Path(__file__).parents[2]
 
@@ -134,7 +134,7 @@ def test_the_site_builds_without_a_warning_and_needs_nothing_from_elsewhere(tmp_
         env=os.environ | {"NO_MKDOCS_2_WARNING": "1", "PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     assert done.returncode == 0, done.stderr
     pages = list((tmp_path / "site").rglob("*.html"))

@@ -75,8 +75,8 @@ def test_a_bad_action_is_refused_and_the_episode_goes_on(env) -> None:
         env.step(0)
     env.reset(seed=4)
     for action in (-1, 99, 0.9, True, None, "0"):
-        said = rf"action {action!r} of signal J: must be an integer, a green from 0 to 1"
-        with pytest.raises(ValueError, match=said):
+        error_text = rf"action {action!r} of signal J: must be an integer, a green from 0 to 1"
+        with pytest.raises(ValueError, match=error_text):
             env.step(action)
     for steps in range(1, 5):
         _, _, _, is_over, _ = env.step(np.int64(0))
@@ -88,8 +88,11 @@ def test_bad_actions_of_several_signals_are_refused_alike() -> None:
     with pytest.raises(ConfigError, match=r"call reset\(\) first"):
         made.step({"J": 0})
     made.reset(seed=4)
-    for actions, said in (({"J": 2}, "action 2 of signal J"), ({"K": 0}, "the signals are J")):
-        with pytest.raises(ValueError, match=said):
+    for actions, error_text in (
+        ({"J": 2}, "action 2 of signal J"),
+        ({"K": 0}, "the signals are J"),
+    ):
+        with pytest.raises(ValueError, match=error_text):
             made.step(actions)
     *_, ended, _ = made.step({"J": 0})
     made.close()
@@ -124,12 +127,12 @@ def test_observations_are_counts_of_perception(env) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "error_text"),
     [
         ({"decision_s": 1.5}, r"decision_s is 1\.5, must be a multiple of frame_period_s, 1"),
         ({"scenario": "corridor"}, r"SignalEnv is for one signal, the scenario has 5"),
     ],
 )
-def test_what_cannot_be_is_refused(settings, said) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_what_cannot_be_is_refused(settings, error_text) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         SignalEnv(**{**SMALL, **settings})

@@ -17,19 +17,19 @@ def test_a_record_reads_like_a_line_of_text():
 
 
 @pytest.mark.parametrize(
-    ("status", "said"),
+    ("status", "text"),
     [(3, "ended with status 3"), (-9, "was killed by SIGKILL"), (-35, "was killed by signal 35")],
 )
-def test_every_end_can_be_told(status, said):
-    assert describe_status(status) == said
+def test_every_end_can_be_told(status, text):
+    assert describe_status(status) == text
 
 
 def test_the_tail_of_a_log_ends_with_the_error(tmp_path):
     trace = "\n".join([*(f"  line {n}" for n in range(40)), "ValueError: no"])
     record = {"process": "edge", "level": "ERROR", "message": "it broke", "exception": trace}
     (tmp_path / "log").write_text(f"{json.dumps(record)}\nand a plain line\n")
-    told = log_tail(tmp_path / "log", 3).splitlines()
-    assert told == ["  line 39", "ValueError: no", "and a plain line"]
+    lines = log_tail(tmp_path / "log", 3).splitlines()
+    assert lines == ["  line 39", "ValueError: no", "and a plain line"]
 
 
 def test_who_has_no_log_is_told_of_by_the_fork_server(tmp_path):

@@ -1,4 +1,4 @@
-"""Figures in README and docs are those of docs/figures/*.json, and say how old they are."""
+"""Figures in README and docs are those of docs/figures/*.json, with their age."""
 
 from __future__ import annotations
 
@@ -113,8 +113,8 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     make.compare_rows([])
     assert not make.is_fresh(make.FIGURES["delay"])
     make.compare_rows(["delay"])
-    told = make.age(make.FIGURES["delay"], make.load(make.FIGURES["delay"]))
-    assert told.endswith("; in 1 runs commit c0ffee0 gives the same rows")
+    age = make.age(make.FIGURES["delay"], make.load(make.FIGURES["delay"]))
+    assert age.endswith("; in 1 runs commit c0ffee0 gives the same rows")
     make.compare_rows([])  # it is fresh, and not compared again
     assert commits == ["0123456789"] * 2
 

@@ -38,7 +38,7 @@ def invented(frame: int) -> list[tuple[str, bytes]]:
     cloud = PointCloud(np.zeros((500, 3), np.float32), np.zeros(500, np.float32))
     payload = np.frombuffer(encode_cloud(cloud, 0.02), np.uint8)
     roster = Roster(frame=frame, process=FLOODER, agents=names, scanning=names)
-    said: list[tuple[str, dict[str, str], Message]] = [("roster", {}, roster)]
+    messages: list[tuple[str, dict[str, str], Message]] = [("roster", {}, roster)]
     for name in names:
         pose = AgentPose(
             frame=frame,
@@ -64,16 +64,16 @@ def invented(frame: int) -> list[tuple[str, bytes]]:
             encode_end_ns=0,
             payload=payload,
         )
-        said += [("pose", {"agent": name}, pose), ("scan", {"agent": name, "chunk": "0"}, scan)]
+        messages += [("pose", {"agent": name}, pose), ("scan", {"agent": name, "chunk": "0"}, scan)]
     return [
         (TOPICS[topic].key(region="r0", process=FLOODER, **parts), encode(message))
-        for topic, parts, message in said
+        for topic, parts, message in messages
     ]
 
 
 @contextmanager
 def joined(port: int, *, shown: bool) -> Iterator[zenoh.Session]:
-    """Gives a session; a shown one is present as a vehicle process for as long as it stays."""
+    """Context manager: a session; an announced one is present as a vehicle process."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
@@ -87,15 +87,15 @@ def joined(port: int, *, shown: bool) -> Iterator[zenoh.Session]:
 
 def flood(
     session: zenoh.Session,
-    said: list[tuple[str, bytes]],
+    messages: list[tuple[str, bytes]],
     per_s: int,
     is_over: Callable[[float], bool],
 ) -> int:
-    """Says it all, again and again, until it is over; returns how many messages that were."""
+    """Publishes all messages repeatedly until it is over; returns how many messages that were."""
     begin_s, number, passed_s = time.monotonic(), 0, 0.0
     while not is_over(passed_s):
         for _ in range(max(int(passed_s * per_s) - number, 0)):
-            session.put(*said[number % len(said)])
+            session.put(*messages[number % len(messages)])
             number += 1
         passed_s = time.monotonic() - begin_s
     return number
@@ -107,18 +107,18 @@ def memory_mb(pid: int) -> float:
 
 
 def dropped(shell: Shell, run_dir: Path) -> dict[str, dict[str, int]]:
-    """Returns how many messages each process did not take, by reason."""
+    """Returns how many messages each process dropped, by reason."""
     summary = json.loads(shell.run("report", str(run_dir), "--json")[1])
     return summary["drops_by_reason"]  # type: ignore[no-any-return]  # JSON
 
 
 def test_a_flood_by_strangers_changes_no_row_of_a_run_in_lockstep(shell: Shell, first_run: Path):
-    said = [message for frame in range(0, 80, 8) for message in invented(frame)]
+    messages = [message for frame in range(0, 80, 8) for message in invented(frame)]
     port, run_dir = free_ports(), shell.folder / "run"
     command = shell.up("--duration=8", "--out=run", f"--listen=127.0.0.1:{port}")
     command.read_until("vehicles")
     with joined(port, shown=False) as session:
-        number = flood(session, said, 3_000, lambda _: command.process.poll() is not None)
+        number = flood(session, messages, 3_000, lambda _: command.process.poll() is not None)
     status, output = command.finish()
     assert status == 0, output
     assert number > 5_000
@@ -127,7 +127,7 @@ def test_a_flood_by_strangers_changes_no_row_of_a_run_in_lockstep(shell: Shell, 
 
 
 def test_a_flood_by_a_process_costs_no_memory_and_the_run_recovers(shell: Shell) -> None:
-    said = [message for frame in range(4, 20, 2) for message in invented(frame)]
+    messages = [message for frame in range(4, 20, 2) for message in invented(frame)]
     port, run_dir = free_ports(), shell.folder / "run"
     realtime = ("--mode=realtime", f"--duration={FRAMES / 2}", "--out=run", *UNHURRIED)
     command = shell.up(*realtime, *SMALL, "--cav-rate=0.1", f"--listen=127.0.0.1:{port}")
@@ -136,7 +136,7 @@ def test_a_flood_by_a_process_costs_no_memory_and_the_run_recovers(shell: Shell)
     edge = children_of(run_dir)["edge-r0"]
     before_mb = memory_mb(edge)
     with joined(port, shown=True) as session:
-        number = flood(session, said, 10_000, lambda passed_s: passed_s > FLOOD_S)
+        number = flood(session, messages, 10_000, lambda passed_s: passed_s > FLOOD_S)
         grown_mb = memory_mb(edge) - before_mb
     (newest,) = query(run_dir, "SELECT max(frame) FROM frames")[0]
     status, output = command.finish()

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,7 +24,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet"]
     options = ["--no-deps", "--no-index", "--no-build-isolation", "--wheel-dir", str(folder)]
-    subprocess.run([*pip, *options, str(ROOT)], check=True, timeout=PATIENCE_S)
+    subprocess.run([*pip, *options, str(ROOT)], check=True, timeout=TIMEOUT_S)
     return next(folder.glob("*.whl"))
 
 
@@ -88,7 +88,7 @@ def test_an_installed_cpnet_runs_the_loop_from_another_folder(wheel, tmp_path) -
     command = [str(python), "-m", "cpnet", "up", "t_junction", "--duration", "2", "--out", "run"]
     small = ["--set=lidar.vehicle.channels=16", "--set=lidar.roadside.channels=16"]
     done = subprocess.run(
-        [*command, *small], cwd=here, env=clean, capture_output=True, text=True, timeout=PATIENCE_S
+        [*command, *small], cwd=here, env=clean, capture_output=True, text=True, timeout=TIMEOUT_S
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert (here / "run" / "run.sqlite").is_file()

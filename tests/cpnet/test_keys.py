@@ -1,4 +1,4 @@
-"""`cpnet keys`, and what `cpnet up --keys` says of keys that cannot be."""
+"""`cpnet keys`, and the errors of `cpnet up --keys` for invalid keys."""
 
 import json
 import shutil
@@ -273,19 +273,19 @@ def test_another_router_with_those_settings_lets_each_say_what_is_its_own(folder
     locator = free_locator("tls")
     config = router_config(folder) | {"listen": {"endpoints": [locator]}}
     router = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
-    heard = Inbox()
+    received = Inbox()
     edge, vehicle = (
         open_bus(BusName.V2X, Endpoint(locator, False, Keys.of(folder, name)), inbox, 3000)
-        for name, inbox in (("edge-r0", heard), ("vehicle-0", Inbox()))
+        for name, inbox in (("edge-r0", received), ("vehicle-0", Inbox()))
     )
     edge.subscribe("roster", region="r0")
     edge.watch()
     vehicle.announce("vehicle", "vehicle-0")
-    assert heard.get(5.0) == Presence("vehicle", "vehicle-0", alive=True)
+    assert received.get(5.0) == Presence("vehicle", "vehicle-0", alive=True)
     for process in ("infra-r0", "vehicle-0"):
         roster = Roster(frame=0, process=process, agents=[], scanning=[])
         vehicle.publish("roster", roster, region="r0", process=process)
-    item = heard.get(5.0)
+    item = received.get(5.0)
     assert isinstance(item, Envelope)
     assert item.parts["process"] == "vehicle-0"
     for session in (edge, vehicle, router):

@@ -1,4 +1,4 @@
-"""Looking on at real runs: in the terminal, into a file."""
+"""Observers of real runs: in the terminal, into a file."""
 
 import os
 import pty
@@ -43,7 +43,7 @@ class Terminal:
         def is_there() -> bool:
             nonlocal seen
             raise_priority(self.process.pid)
-            with suppress(OSError):  # nothing new, or nobody writes any more
+            with suppress(OSError):  # nothing new, or the writer has ended
                 seen += os.read(self._own, 1 << 16).decode(errors="replace")
             return text in seen
 
@@ -51,7 +51,7 @@ class Terminal:
         return seen
 
     def read_to_end(self) -> str:
-        """Reads until the command is over: it ends only once somebody has read what it prints."""
+        """Reads until the command is over: it ends only once its output was read."""
         seen = ""
 
         def is_over() -> bool:
@@ -102,7 +102,7 @@ def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "error_text"),
     [
         pytest.param(["view", "--web"], "no run goes on in runs/", marks=NEEDS_VIEW),
         (["top", "nowhere"], "no run goes on there"),
@@ -110,8 +110,10 @@ def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
         (["top", "--connect", "here"], "HOST:PORT"),
     ],
 )
-def test_what_cannot_be_looked_at_is_named(shell: Shell, options: list[str], said: str) -> None:
+def test_what_cannot_be_looked_at_is_named(
+    shell: Shell, options: list[str], error_text: str
+) -> None:
     status, output = shell.run(*options)
     assert status == 2
-    assert said in output
+    assert error_text in output
     assert "Traceback" not in output

@@ -18,7 +18,7 @@ from protocol.wire import decode, encode
 from recording.run import Run, differences
 from recording.tables import PhaseRow
 from studies.in_process import run_in_process
-from tests.cpnet.commands import check_account, children_of, free_ports, rows, wait_for_frames
+from tests.cpnet.commands import check_breakdown, children_of, free_ports, rows, wait_for_frames
 from tests.hostile import Hostile
 from tests.signal_safety import violations_of
 from tests.waiting import wait_until
@@ -156,7 +156,7 @@ def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell
     # The deadline, unless all whose scans would be late left the frame out: their links are full.
     assert max(delay_ns for (delay_ns,) in delays) == 80_000_000
     assert sum(delay_ns == 80_000_000 for (delay_ns,) in delays) > len(delays) / 2
-    check_account(shell.folder / "first", exactly=True)
+    check_breakdown(shell.folder / "first", exactly=True)
 
 
 def test_emulated_links_delay_scans_and_nothing_else(shell):
@@ -170,7 +170,7 @@ def test_emulated_links_delay_scans_and_nothing_else(shell):
         ((roadside_ns,),) = database.execute(sql.format("=")).fetchall()
     assert vehicle_ns > 40_000_000
     assert roadside_ns < 40_000_000
-    check_account(shell.folder / "run", exactly=False)
+    check_breakdown(shell.folder / "run", exactly=False)
 
 
 def test_the_page_of_a_run_names_the_command_that_makes_it(shell, first_run):
@@ -267,7 +267,7 @@ def test_the_world_runs_on_the_clock_in_realtime_mode(shell):
 
 
 def rogue_on(port: int) -> zenoh.Session:
-    """Opens a connection to a V2X bus, as anybody could who reaches its port."""
+    """Opens a connection to a V2X bus, as any process can that reaches its port."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["tcp/127.0.0.1:{port}"]')
@@ -301,24 +301,24 @@ def test_a_flood_of_hostile_requests_shows_nothing_unsafe_and_stops_no_control(s
         road_signal = run.setup.road_map.intersections[0].signal
     hostile = Hostile(road_signal, np.random.default_rng(3))
     rogue = rogue_on(port)
-    heard: deque[SignalState] = deque(maxlen=1)
+    states: deque[SignalState] = deque(maxlen=1)
 
-    def hear(sample: zenoh.Sample) -> None:
-        heard.append(decode(bytes(sample.payload), SignalState))
+    def receive(sample: zenoh.Sample) -> None:
+        states.append(decode(bytes(sample.payload), SignalState))
 
-    listening = rogue.declare_subscriber(f"{PREFIX}/signal/{road_signal.tls}/state", hear)
-    command.wait_until(lambda: heard, what="no signal state was ever heard")
-    sent, ends_ns = 0, heard[0].sim_time_ns + 8e9  # a loaded machine slows the world's time down
-    while heard[0].sim_time_ns < ends_ns or sent < 5_000:
+    listening = rogue.declare_subscriber(f"{PREFIX}/signal/{road_signal.tls}/state", receive)
+    command.wait_until(lambda: states, what="no signal state was received")
+    sent, ends_ns = 0, states[0].sim_time_ns + 8e9  # a loaded machine slows the world's time down
+    while states[0].sim_time_ns < ends_ns or sent < 5_000:
         assert command.process.poll() is None
         for _ in range(10):
-            request = encode(hostile.any(heard[0].sim_time_ns))
+            request = encode(hostile.any(states[0].sim_time_ns))
             rogue.put(f"{PREFIX}/signal/{road_signal.tls}/request", request)
             sent += 1
         time.sleep(0.005)
-    ends_ns = heard[0].sim_time_ns
+    ends_ns = states[0].sim_time_ns
     command.wait_until(
-        lambda: heard[0].source == "max_pressure" and heard[0].sim_time_ns > ends_ns + 2e9,
+        lambda: states[0].source == "max_pressure" and states[0].sim_time_ns > ends_ns + 2e9,
         what="the controller never came back",
     )
     listening.undeclare()

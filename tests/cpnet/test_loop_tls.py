@@ -7,7 +7,7 @@ from pathlib import Path
 
 from recording.run import differences
 from tests.certificates import make_keys
-from tests.cpnet.commands import Shell, check_account, free_ports
+from tests.cpnet.commands import Shell, check_breakdown, free_ports
 
 
 def test_each_machine_needs_its_own_keys_alone(shell, first_run):
@@ -44,11 +44,11 @@ def test_emulated_links_delay_scans_over_tls_and_their_bytes_are_counted(shell: 
     assert 0 < statistics.median(extra) < 2000
     assert vehicle_ns > 40_000_000
     assert roadside_ns < 40_000_000
-    check_account(shell.folder / "run", exactly=False)
+    check_breakdown(shell.folder / "run", exactly=False)
 
 
 def part(made: Path, folder: Path, *ids: str) -> None:
-    """Copies what a machine with these processes is given."""
+    """Copies the keys that a machine with these processes gets."""
     folder.mkdir()
     for name in ("ca.pem", *(f"{one}.{end}" for one in ids for end in ("pem", "key"))):
         shutil.copy(made / name, folder)

@@ -1,4 +1,4 @@
-"""What is exported of a run, whatever its processes say."""
+"""Metrics exported of a run, whatever its processes publish."""
 
 import math
 import socket
@@ -137,8 +137,8 @@ def test_bytes_are_counted_by_process_and_never_by_agent():
 
 def test_drops_go_on_rising_when_a_process_starts_anew():
     run_metrics = RunMetrics()
-    for told in ({"late": 3}, {"late": 5, "odd": 1}, {"late": 2}, {"late": 2, "odd": 4}):
-        run_metrics.take(metrics(drops=told))
+    for drops in ({"late": 3}, {"late": 5, "odd": 1}, {"late": 2}, {"late": 2, "odd": 4}):
+        run_metrics.take(metrics(drops=drops))
     samples = page(run_metrics)
     assert samples[("cpnet_drops_total", "edge", "late")] == 7
     assert samples[("cpnet_drops_total", "edge", "odd")] == 5
@@ -222,8 +222,8 @@ def test_absurd_figures_leave_a_page_that_can_be_read():
     absurd = {"J": junction(unchanged_s=1e308)}
     run_metrics.take(progress(sim_time_ns=(1 << 62) - 1, state="u" * 512, junctions=absurd, **huge))
     run_metrics.take(progress(sim_time_ns=1 - (1 << 62), state="u" * 512, **huge))
-    for told in ((1 << 53) - 1, 0) * 50:
-        run_metrics.take(metrics(drops={"late": told}))
+    for count in ((1 << 53) - 1, 0) * 50:
+        run_metrics.take(metrics(drops={"late": count}))
     samples = page(run_metrics)
     assert samples[("cpnet_end_to_end_seconds",)] == pytest.approx(1.7e305)
     assert samples[("cpnet_signal_state_age_seconds", "r0", "J")] == 1e308

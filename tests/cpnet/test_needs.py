@@ -17,7 +17,7 @@ from protocol.errors import ConfigError
 
 @pytest.fixture
 def without(monkeypatch):
-    """Has packages count as not installed."""
+    """Makes packages count as not installed."""
 
     def take(*names: str) -> None:
         found = needs.find_spec
@@ -46,8 +46,8 @@ def test_a_run_is_refused_before_it_is_compiled_for(
     monkeypatch.setattr(preparation, "compile_ahead", never)
     monkeypatch.chdir(tmp_path)
     options = Options("corridor", settings, None, [], [], None)
-    told = re.escape(f"{message}{sys.executable} -m pip install ")
-    with pytest.raises(ConfigError, match=told):
+    error_text = re.escape(f"{message}{sys.executable} -m pip install ")
+    with pytest.raises(ConfigError, match=error_text):
         prepare_run(options, Console(file=io.StringIO()), None)
     assert list(tmp_path.iterdir()) == []
 

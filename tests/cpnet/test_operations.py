@@ -14,7 +14,7 @@ Samples = dict[tuple[str, ...], float]
 
 
 def scrape(port: str) -> Samples:
-    """Returns all samples by name and values in order of labels, none if nobody answers."""
+    """Returns all samples by name and values in order of labels, none without an answer."""
     text = ""
     with suppress(OSError):
         page = urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5)

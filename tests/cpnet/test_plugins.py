@@ -74,15 +74,17 @@ def test_settings_reach_the_detector(installed, tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "error_text"),
     [
         ({"edge.plugin.side_m": 3}, r"detector grid of cpnet-example 0\.1\.0 .*\n?.*side_m"),
         ({"edge.fusion.plugin.least_score": 2}, r"fusion sure-ones of .*least_score is 2"),
         ({"upload.plugin.near_m": -1}, r"policy near-first of cpnet-example 0\.1\.0 .*near_m is"),
     ],
 )
-def test_settings_that_cannot_be_name_the_package(installed, tmp_path, settings, said) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_settings_that_cannot_be_name_the_package(
+    installed, tmp_path, settings, error_text
+) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         played(tmp_path / "a", **BY_NAME, **settings)
 
 
@@ -138,7 +140,7 @@ def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "said"),
+    ("key", "error_text"),
     [
         ("edge.detector", "found a ndarray, must find Vehicles"),
         ("edge.fusion.rule", "found a ndarray, must find Vehicles"),
@@ -146,8 +148,8 @@ def bad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         ("signal.policy", "decided 'GG', must be a G, g or r for each of"),
     ],
 )
-def test_what_a_plugin_returns_is_looked_at(bad, tmp_path, key, said) -> None:
-    with pytest.raises(ConfigError, match=rf"bad of bad-package 1\.0 {said}"):
+def test_what_a_plugin_returns_is_looked_at(bad, tmp_path, key, error_text) -> None:
+    with pytest.raises(ConfigError, match=rf"bad of bad-package 1\.0 {error_text}"):
         played(tmp_path / "a", **{key: "bad"})
 
 

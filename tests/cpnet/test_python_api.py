@@ -16,7 +16,7 @@ import cpnet
 from perception.detector import Vehicles
 from protocol.errors import ConfigError
 from recording.tables import RequestRow
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 ROOT = Path(__file__).parents[2]
 LIDAR = {"channels": 16, "points_per_second": 72_000}
@@ -132,7 +132,7 @@ def test_functions_take_the_place_of_the_parts(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "said"),
+    ("part", "error_text"),
     [
         (
             {"detector": lambda cloud: np.zeros((2, 3))},
@@ -166,8 +166,8 @@ def test_functions_take_the_place_of_the_parts(tmp_path) -> None:
         ({"controller": 7}, r"signal\.policy: a int was given, must be a function"),
     ],
 )
-def test_what_functions_return_is_looked_at(part, said) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_what_functions_return_is_looked_at(part, error_text) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         cpnet.run(SMALL, duration_s=1, **part)
 
 
@@ -229,8 +229,8 @@ def test_a_function_where_a_name_is_meant_is_told_its_argument() -> None:
 
 
 def test_a_part_is_given_by_a_function_or_by_a_name() -> None:
-    said = r"edge\.detector is 'fast', and detector= gives a function: give one"
-    with pytest.raises(ConfigError, match=said):
+    error_text = r"edge\.detector is 'fast', and detector= gives a function: give one"
+    with pytest.raises(ConfigError, match=error_text):
         cpnet.run(SMALL, detector=one_box, edge={"detector": "fast"})
 
 
@@ -266,7 +266,7 @@ def script(folder: Path, call: str) -> tuple[int, str, str]:
         env=os.environ | {"PYTHONPATH": path},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -296,7 +296,7 @@ def test_setup_makes_nothing_of_an_unknown_argument(arguments, tmp_path: Path) -
     command = [str(ROOT / "scripts" / "setup"), *arguments]
     environment = os.environ | {"CPNET_VENV": str(venv)}
     done = subprocess.run(
-        command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S
+        command, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S
     )
     assert (done.returncode, done.stderr) == (2, "usage: scripts/setup [run | test]\n")
     assert not venv.exists()

@@ -1,4 +1,4 @@
-"""Runs that are recorded: from their start, or by whoever comes along."""
+"""Runs that are recorded: from their start, or by `cpnet record` later."""
 
 import json
 import os
@@ -36,28 +36,28 @@ def test_a_tape_holds_what_the_database_was_made_of(shell):
     assert status == 0, output
     assert "sim, record, mcap, edge, signal" in output
     recording = McapReader(shell.folder / "run")
-    heard: dict[str, list] = {}
+    recorded: dict[str, list] = {}
     for item in recording.messages():
-        heard.setdefault(item.topic, []).append(item.message)
+        recorded.setdefault(item.topic, []).append(item.message)
     assert (recording.is_whole, recording.drops.total()) == (True, 0)
-    assert [end.reason for end in heard["end"]] == ["finished"]
+    assert [end.reason for end in recorded["end"]] == ["finished"]
     made = {
-        PhaseRow: map(phase_row, heard["state"]),
-        RequestRow: map(request_row, heard["request"]),
-        DetectionRow: chain.from_iterable(detection_rows(m, "r0") for m in heard["detections"]),
-        CountRow: chain.from_iterable(map(count_rows, heard["lanes"])),
-        TruthRow: chain.from_iterable(map(truth_rows, heard["truth"])),
+        PhaseRow: map(phase_row, recorded["state"]),
+        RequestRow: map(request_row, recorded["request"]),
+        DetectionRow: chain.from_iterable(detection_rows(m, "r0") for m in recorded["detections"]),
+        CountRow: chain.from_iterable(map(count_rows, recorded["lanes"])),
+        TruthRow: chain.from_iterable(map(truth_rows, recorded["truth"])),
     }
     with Run(shell.folder / "run") as run:
         frames = [row.frame for row in run.rows(FrameRow)]
-        assert [tick.frame for tick in heard["tick"]] == frames == [*range(50)]
+        assert [tick.frame for tick in recorded["tick"]] == frames == [*range(50)]
         for table, rows in made.items():
             assert sorted(rows) == sorted(run.rows(table)), table
-        assert len(heard["scan"]) == len([*run.rows(UploadRow)])
+        assert len(recorded["scan"]) == len([*run.rows(UploadRow)])
 
 
 def frames_on(recording: Path, kind: str = "tick") -> list[int]:
-    """Returns the frames of a kind that can be read off a recording that may still grow."""
+    """Returns the frames of a kind that can be read from a recording that may still grow."""
     try:
         return [item.message.frame for item in McapReader(recording).messages([kind])]
     except ConfigError:  # not so far yet
@@ -65,10 +65,10 @@ def frames_on(recording: Path, kind: str = "tick") -> list[int]:
 
 
 def drops_on(path: Path) -> int:
-    """Returns how many messages a recording says that it lacks: those it was too slow for."""
+    """Returns how many messages a recording lacks by its metadata: those it was too slow for."""
     with path.open("rb") as file:
-        told = [one for one in make_reader(file).iter_metadata() if one.name == CLOSING_METADATA]
-    return sum(json.loads(told[0].metadata["drops"]).values())
+        closing = [one for one in make_reader(file).iter_metadata() if one.name == CLOSING_METADATA]
+    return sum(json.loads(closing[0].metadata["drops"]).values())
 
 
 def test_a_dead_tape_stops_no_city(shell):
@@ -99,22 +99,22 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
     command.read_until("mcap was killed by SIGKILL; started again")
     to_the_end = shell.start("record", str(run_dir), "--no-truth")
     to_the_end.read_until("Ctrl-C ends it")
-    until_told = shell.start("record", "--out=mine.mcap")  # the newest run
-    until_told.read_until("Ctrl-C ends it")
+    until_signalled = shell.start("record", "--out=mine.mcap")  # the newest run
+    until_signalled.read_until("Ctrl-C ends it")
     status, output = shell.run("record", "--duration=1")
     assert status == 0, output
-    until_told.wait_until(lambda: frames_on(shell.folder / "mine.mcap", "detections"))
-    until_told.process.send_signal(signal.SIGINT)
+    until_signalled.wait_until(lambda: frames_on(shell.folder / "mine.mcap", "detections"))
+    until_signalled.process.send_signal(signal.SIGINT)
     for name in ("run-2.mcap", "record.mcap"):
         to_the_end.wait_until(lambda name=name: frames_on(run_dir / name, "detections"))
     command.process.send_signal(signal.SIGINT)
     assert command.finish()[0] == 130
-    for command, name in ((to_the_end, run_dir / "record.mcap"), (until_told, "mine.mcap")):
+    for command, name in ((to_the_end, run_dir / "record.mcap"), (until_signalled, "mine.mcap")):
         status, output = command.finish()
         assert status == 0, output
-        told = re.search(r"(\d+) dropped", output)  # 0, if the machine is not too slow
-        assert told is not None, output
-        assert int(told[1]) == drops_on(shell.folder / name)
+        dropped = re.search(r"(\d+) dropped", output)  # 0, if the machine is not too slow
+        assert dropped is not None, output
+        assert int(dropped[1]) == drops_on(shell.folder / name)
     ticks = [item.message.frame for item in McapReader(run_dir).messages(["tick"])]
     assert ticks == sorted(set(ticks))
     names = (run_dir / "record.mcap", shell.folder / "mine.mcap", run_dir / "record-2.mcap")
@@ -127,7 +127,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "error_text"),
     [
         (["record"], "no run goes on in runs/"),
         (["record", "nowhere"], "nowhere: no run goes on there"),
@@ -135,7 +135,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         (["up", "--only=router,sim,edge,mcap"], "--only mcap: the scenario has record.mcap false"),
     ],
 )
-def test_what_cannot_be_taped_is_said(shell, words, said):
-    status, output = shell.run(*words)
+def test_what_cannot_be_taped_is_said(shell, arguments, error_text):
+    status, output = shell.run(*arguments)
     assert (status, "Traceback" in output) == (2, False)
-    assert said in output
+    assert error_text in output

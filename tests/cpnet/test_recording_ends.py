@@ -1,4 +1,4 @@
-"""What `cpnet record` says when it cannot go on, or cannot begin."""
+"""Errors of `cpnet record` that cannot continue, or cannot start."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOWHERE = Endpoint("tcp/127.0.0.1:1", listen=False)
 
 
 class Silent:
-    """An observer of nobody."""
+    """An observer that receives nothing."""
 
     def __init__(self) -> None:
         self.inbox = Inbox()
@@ -46,15 +46,17 @@ def test_a_full_disk_leaves_what_can_be_read_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(observe, "Observer", lambda *_, **__: nullcontext(Silent()))
     monkeypatch.setattr(observe, "loop", loop)
     monkeypatch.setattr(observe, "lower_priority", lambda: None)
-    said = io.StringIO()
+    printed = io.StringIO()
     before = signal.getsignal(signal.SIGTSTP)
     try:
         run = RunLocation(NOWHERE, NOWHERE, tmp_path)
         with pytest.raises(CpnetError, match="No space left"):
-            observe.record_run(run, None, None, Console(file=said, width=200), truth=True)
+            observe.record_run(run, None, None, Console(file=printed, width=200), truth=True)
     finally:
         signal.signal(signal.SIGTSTP, before)
-    assert f"readable as far as it goes: {tmp_path / 'record.mcap'}: 1 messages" in said.getvalue()
+    assert (
+        f"readable as far as it goes: {tmp_path / 'record.mcap'}: 1 messages" in printed.getvalue()
+    )
     assert len([*McapReader(tmp_path / "record.mcap").messages(["tick"])]) == 1
 
 

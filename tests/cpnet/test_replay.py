@@ -35,7 +35,7 @@ REAP = ["upload.policy=reap", "link.profile=300kbit,20ms", "link.roadside_profil
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory) -> Path:
-    """Returns a run over virtual links that are too slow for all that agents have to say."""
+    """Returns a run over virtual links that are too slow for all of the agents' chunks."""
     shell = Shell(tmp_path_factory.mktemp("recorded"))
     settings = [f"--set={setting}" for setting in REAP]
     status, output = shell.up(
@@ -58,7 +58,7 @@ def rows(run_dir: Path, table: type) -> list:
 
 
 def sent_by(run_dir: Path) -> list:
-    """Returns what each chunk took, but those of the end, of which no plan may have told yet."""
+    """Returns what each chunk took, but those of the end, which no plan may cover yet."""
     sent = [row for row in rows(run_dir, UploadRow) if row.frame < 28]
     return [(row.agent, row.chunk, row.payload_bytes, row.link_sim_ns) for row in sent]
 
@@ -119,8 +119,8 @@ def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path
     cut.write_bytes(whole[: len(whole) * 3 // 4])
     setup = replay_of_recording(cut, {}, Pace(), Console()).setup(tmp_path)
     frames = round(setup.scenario["duration_s"] * 10)
-    said = f"cut off: 1 part cannot be read; {frames} frames are played"
-    assert said in capsys.readouterr().out
+    warning = f"cut off: 1 part cannot be read; {frames} frames are played"
+    assert warning in capsys.readouterr().out
     assert 5 < frames < 30
     run_dir = solo(cut, tmp_path / "played")
     summary = summarise(run_dir)
@@ -163,7 +163,7 @@ def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, recorded):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "error_text"),
     [
         (["none"], "there is no such recording, neither a file nor"),
         ([], "give the recording that is to be played, or --scans DIR --poses FILE"),
@@ -191,12 +191,12 @@ def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, recorded):
         ),
     ],
 )
-def test_what_cannot_be_played_is_said(recorded, options, said):
+def test_what_cannot_be_played_is_said(recorded, options, error_text):
     asked = CliRunner().invoke(
         app, ["replay", *(word.format(recording=recorded) for word in options)]
     )
     assert isinstance(asked.exception, ConfigError)
-    assert said in str(asked.exception)
+    assert error_text in str(asked.exception)
 
 
 def test_a_mistake_is_said_in_a_line_and_leaves_nothing_behind(shell):

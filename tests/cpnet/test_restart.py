@@ -15,7 +15,7 @@ from tests.cpnet.commands import Command, Shell, children_of
 from tests.soak.campaign import hurt_once
 from tests.soak.findings import look_back, processes_of
 from tests.soak.health import Health, Observer
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 REALTIME = ("--mode=realtime", "--restart", "--set=edge.deadline_ms=300")
 
@@ -31,7 +31,7 @@ def observed(shell: Shell, *more: str) -> Iterator[tuple[Command, Observer, Path
     health = Health(set(processes_of(run_dir)), {"rsu-0"})
     buses = [Endpoint(place, listen=False) for place in places.values()]
     with Observer(*buses, health) as observer:
-        assert observer.listen(PATIENCE_S, observer.is_right), health.wrong
+        assert observer.listen(TIMEOUT_S, observer.is_right), health.wrong
         yield command, observer, run_dir
 
 
@@ -46,7 +46,7 @@ def test_whoever_dies_comes_back_and_all_is_right_again(shell):
     with observed(shell) as (command, observer, run_dir):
         faults = []
         for victim in victims:
-            faults.append(hurt_once(observer, run_dir, victim, patience_s=PATIENCE_S))
+            faults.append(hurt_once(observer, run_dir, victim, timeout_s=TIMEOUT_S))
             assert faults[-1].recovery_s is not None, faults[-1]
         asked = set(observer.asked)
     stop(command)
@@ -69,7 +69,7 @@ def test_a_run_outlives_its_fork_server_and_has_no_twins(shell):
         before = processes_of(run_dir)
         os.kill(fork_server_of(command), signal.SIGKILL)
         command.read_until("fork-server was killed")
-        fault = hurt_once(observer, run_dir, "record", patience_s=PATIENCE_S)
+        fault = hurt_once(observer, run_dir, "record", timeout_s=TIMEOUT_S)
         assert fault.recovery_s is not None, fault
         after = processes_of(run_dir)
         assert {name for name in before if before[name] != after[name]} == {"record"}
@@ -83,8 +83,8 @@ def test_who_is_stopped_is_told_of_and_starts_again(shell):
         os.kill(processes_of(run_dir)["infra-r0"], signal.SIGSTOP)
         command.read_until("nothing heard from infra-r0: it is stopped")
         command.read_until("infra-r0 was stopped (SIGSTOP) for 5 s; started again")
-        observer.health.doubt()
-        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+        observer.health.reset()
+        assert observer.listen(TIMEOUT_S, observer.is_right), observer.health.wrong
     stop(command)
 
 
@@ -104,14 +104,14 @@ def test_a_lost_agents_cavs_move_to_the_others_and_newcomers_join(shell):
         connect = [f"--connect={bus}" for bus in buses]
         joined = shell.start("up", "--only=vehicle-7", *connect, "--out=joined")
         present = lambda: "vehicle-7" in observer.health.present()  # noqa: E731
-        assert observer.listen(PATIENCE_S, present), "vehicle-7 never came"
-        observer.health.doubt()
-        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+        assert observer.listen(TIMEOUT_S, present), "vehicle-7 never came"
+        observer.health.reset()
+        assert observer.listen(TIMEOUT_S, observer.is_right), observer.health.wrong
         joined.process.send_signal(signal.SIGINT)
         assert joined.finish()[0] == 130
-        assert observer.listen(PATIENCE_S, lambda: not present())
-        observer.health.doubt()
-        assert observer.listen(PATIENCE_S, observer.is_right), observer.health.wrong
+        assert observer.listen(TIMEOUT_S, lambda: not present())
+        observer.health.reset()
+        assert observer.listen(TIMEOUT_S, observer.is_right), observer.health.wrong
     stop(command)
 
 

@@ -1,7 +1,7 @@
-"""Rogues on the buses of a real run with keys: what they cannot say, hear or pretend to be.
+"""Rogue clients on the buses of a real run with keys: they cannot publish, receive or impersonate.
 
-Rogues are plain Zenoh clients, so that nothing of cpnet's own holds them back. What they say is no
-message: wherever it arrived, it would be counted and stand in the run's drops.
+Rogues are plain Zenoh clients, so that no code of cpnet limits them. What they publish is no valid
+message: wherever it arrived, it would be counted among the run's drops.
 """
 
 import json
@@ -22,7 +22,7 @@ from protocol.messages import Setup
 from protocol.topics import ALIVE, PREFIX, TOPICS, BusName
 from tests.certificates import make_keys
 from tests.cpnet.commands import Command, Shell, free_ports
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 pytestmark = pytest.mark.process
 
@@ -56,14 +56,14 @@ FORBIDDEN = {
     ],
 }
 FENCE = {V2X: "r0/scan/vehicle-1/x/0", WORLD: "world/clock/vehicle-1"}
-"""What the rogue may say and a recorder hears: said last, it arrives last."""
+"""Keys that the rogue may publish to and a recorder receives: published last, they arrive last."""
 
-OWN_WORDS = 3
+OWN_MESSAGES = 3
 
 
 @dataclass
-class Heard:
-    """What a client heard, by key."""
+class Received:
+    """What a client received, by key."""
 
     samples: list[zenoh.Sample] = field(default_factory=list)
 
@@ -104,18 +104,18 @@ class Run:
         return f"{protocol}/127.0.0.1:{self.port + (bus is WORLD)}"
 
     def client(
-        self, bus: BusName, keys: Keys | None, mode: str = "client", patience_s: float = 2.0
+        self, bus: BusName, keys: Keys | None, mode: str = "client", timeout_s: float = 2.0
     ) -> zenoh.Session:
         """Connects; with the files of another or without.
 
         Raises:
-            zenoh.ZError: the other side does not want it.
+            zenoh.ZError: the other side refuses it.
         """
         config = zenoh.Config()
         settings = {
             "mode": mode,
             "connect/endpoints": [self.locator(bus)],
-            "connect/timeout_ms": round(patience_s * 1e3),
+            "connect/timeout_ms": round(timeout_s * 1e3),
             "connect/exit_on_failure": True,
             "listen/endpoints": [],
             "scouting/multicast/enabled": False,
@@ -128,15 +128,15 @@ class Run:
         return session
 
     def member(self, bus: BusName, process_id: str, mode: str = "client") -> zenoh.Session:
-        return self.client(bus, Keys.of(self.keys, process_id), mode, PATIENCE_S)
+        return self.client(bus, Keys.of(self.keys, process_id), mode, TIMEOUT_S)
 
-    def spy(self, bus: BusName) -> Heard:
-        """Listens to all that a recorder may hear, as a recorder."""
-        heard, session = Heard(), self.member(bus, "record")
+    def spy(self, bus: BusName) -> Received:
+        """Subscribes to all that a recorder may receive, as a recorder."""
+        received, session = Received(), self.member(bus, "record")
         for topic in TOPICS.values():
             if topic.bus is bus and "record" in topic.subscribers:
-                session.declare_subscriber(topic.key(region="r0"), heard.take)
-        return heard
+                session.declare_subscriber(topic.key(region="r0"), received.take)
+        return received
 
     def leave(self) -> None:
         for session in self._sessions:
@@ -185,7 +185,7 @@ def test_nobody_connects_without_a_certificate_of_the_authority(attacked, bus):
 
 def test_an_agent_hears_neither_truth_nor_counts_nor_what_other_agents_upload(attacked):
     rogue = attacked.member(V2X, "vehicle-1")
-    seen, truth = Heard(), attacked.spy(WORLD)
+    seen, truth = Received(), attacked.spy(WORLD)
     counts = attacked.spy(V2X)
     for key in ("cpnet/v4/**", "**", "cpnet/v4/world/**"):
         rogue.declare_subscriber(key, seen.take)
@@ -196,7 +196,7 @@ def test_an_agent_hears_neither_truth_nor_counts_nor_what_other_agents_upload(at
     world.declare_subscriber("cpnet/v4/**", seen.take)
     for name in ("truth", "sighting", "trips", "metrics", "clock", "tick"):
         world.declare_subscriber(TOPICS[name].key(), seen.take)
-    # The tick, which it may hear, was asked for last: before it was granted all else was refused.
+    # The tick, which it may receive, was subscribed to last: all else was refused before that.
     wait_until(lambda: seen.some("world/tick", 5))
     wait_until(lambda: counts.some("r0/lanes/J", 20) and truth.some("world/truth", 20))
     assert seen.names() == {"world/tick"}
@@ -204,12 +204,12 @@ def test_an_agent_hears_neither_truth_nor_counts_nor_what_other_agents_upload(at
 
 @pytest.mark.parametrize("bus", BusName)
 def test_the_supervisor_of_an_agents_machine_hears_how_the_run_goes_and_no_more(attacked, bus):
-    rogue, seen, others = attacked.member(bus, "watch"), Heard(), attacked.spy(bus)
+    rogue, seen, others = attacked.member(bus, "watch"), Received(), attacked.spy(bus)
     for topic in TOPICS.values():
         if topic.bus is bus:
             rogue.declare_subscriber(topic.key(), seen.take)
             rogue.declare_subscriber(topic.key(region="r0", tls="J"), seen.take)
-    wait_until(lambda: len(others.samples) > 200)  # all that it asked for was dealt with meanwhile
+    wait_until(lambda: len(others.samples) > 200)  # all its subscriptions were handled meanwhile
     if bus is WORLD:
         wait_until(lambda: seen.some("world/progress", 2))
     first = {name.partition("/")[0] for name in seen.names()} - {"world"}
@@ -220,7 +220,7 @@ def test_the_supervisor_of_an_agents_machine_hears_how_the_run_goes_and_no_more(
 def test_an_agent_sees_nobodys_presence_and_shows_nobody_elses(attacked):
     rogue, looker = (attacked.member(V2X, "vehicle-1") for _ in range(2))
     sim, scans = attacked.member(V2X, "sim"), attacked.spy(V2X)
-    seen, shown = Heard(), Heard()
+    seen, shown = Received(), Received()
     sim.liveliness().declare_subscriber(f"{ALIVE}/*/*", shown.take, history=True)
     wait_until(lambda: shown.some("vehicle/vehicle-0"))
     looker.liveliness().declare_subscriber(f"{ALIVE}/**", seen.take, history=True)
@@ -228,7 +228,7 @@ def test_an_agent_sees_nobodys_presence_and_shows_nobody_elses(attacked):
     tokens = [f"{ALIVE}/{who}" for who in ("vehicle/vehicle-9", "edge/vehicle-1", "infra/infra-7")]
     kept = [rogue.liveliness().declare_token(token) for token in tokens]
     rogue.put(f"{PREFIX}/{FENCE[V2X]}", FORGED, priority=zenoh.Priority.BACKGROUND)
-    wait_until(lambda: scans.some(FENCE[V2X]))  # what it said before has been dealt with
+    wait_until(lambda: scans.some(FENCE[V2X]))  # what it published before has been handled
     fence = attacked.member(V2X, "relay-vehicle").liveliness()
     kept.append(fence.declare_token(f"{ALIVE}/relay/relay-vehicle"))
     wait_until(lambda: shown.some("relay/relay-vehicle"))
@@ -251,15 +251,15 @@ def test_nobody_answers_in_the_place_of_the_world(attacked):
     watch = Endpoint(attacked.locator(WORLD), False, Keys.of(attacked.keys, "watch"))
     for _ in range(5):
         with closing(open_bus(WORLD, watch, Inbox())) as asking:
-            setup = asking.ask("setup", Setup, PATIENCE_S)
+            setup = asking.ask("setup", Setup, TIMEOUT_S)
         assert setup is not None
         assert setup.scenario["name"] == "t_junction"
     assert false
 
 
 def attack(rogue: zenoh.Session, bus: BusName) -> None:
-    """Says what is forbidden, then a little of what is allowed."""
-    for _ in range(OWN_WORDS):
+    """Publishes what is forbidden, then a little of what is allowed."""
+    for _ in range(OWN_MESSAGES):
         for key in FORBIDDEN[bus]:
             for priority in (zenoh.Priority.DATA_LOW, zenoh.Priority.REAL_TIME):
                 rogue.put(f"{PREFIX}/{key}", FORGED, priority=priority)
@@ -270,10 +270,10 @@ def attack(rogue: zenoh.Session, bus: BusName) -> None:
 
 @pytest.mark.parametrize("bus", BusName)
 def test_an_agent_that_calls_itself_a_router_can_say_no_more(attacked, bus):
-    heard = attacked.spy(bus)
+    received = attacked.spy(bus)
     attack(attacked.member(bus, "vehicle-1", "router"), bus)
-    wait_until(lambda: len(heard.samples) > 100)  # seconds of the run, which goes on
-    assert set(heard.forged()) <= {f"{PREFIX}/{key}" for key in (FENCE[bus], ALLOWED[bus])}
+    wait_until(lambda: len(received.samples) > 100)  # seconds of the run, which goes on
+    assert set(received.forged()) <= {f"{PREFIX}/{key}" for key in (FENCE[bus], ALLOWED[bus])}
 
 
 def test_what_an_agent_says_under_another_name_arrives_nowhere_and_the_run_goes_on(tmp_path):
@@ -281,16 +281,18 @@ def test_what_an_agent_says_under_another_name_arrives_nowhere_and_the_run_goes_
     run = Run(shell)
     command = run.start()
     try:
-        heard = {bus: run.spy(bus) for bus in BusName}
+        received = {bus: run.spy(bus) for bus in BusName}
         for rounds, mode in enumerate(("client", "peer"), 1):
             for bus in BusName:
                 attack(run.member(bus, "vehicle-1", mode), bus)
                 fence = f"{PREFIX}/{FENCE[bus]}"
-                wait_until(partial(heard[bus].has, fence, rounds))
-        wait_until(lambda: heard[V2X].some("r0/lanes/J", 30))
-        said = {bus: {k.removeprefix(f"{PREFIX}/") for k in heard[bus].forged()} for bus in BusName}
-        assert said[V2X] == {FENCE[V2X]}
-        assert said[WORLD] == {FENCE[WORLD], "metrics/vehicle-1"}
+                wait_until(partial(received[bus].has, fence, rounds))
+        wait_until(lambda: received[V2X].some("r0/lanes/J", 30))
+        forged = {
+            bus: {k.removeprefix(f"{PREFIX}/") for k in received[bus].forged()} for bus in BusName
+        }
+        assert forged[V2X] == {FENCE[V2X]}
+        assert forged[WORLD] == {FENCE[WORLD], "metrics/vehicle-1"}
     finally:
         run.leave()
         command.process.send_signal(signal.SIGINT)
@@ -303,5 +305,5 @@ def test_what_an_agent_says_under_another_name_arrives_nowhere_and_the_run_goes_
         if "MessageError" in n
     }
     # Its own rosters and scans reach the edge; scans, clocks and metrics the recorder.
-    assert bad == {"edge-r0": 2 * (OWN_WORDS + 1), "record": 2 * (OWN_WORDS + 2)}
+    assert bad == {"edge-r0": 2 * (OWN_MESSAGES + 1), "record": 2 * (OWN_MESSAGES + 2)}
     assert summary["frames"] > 20

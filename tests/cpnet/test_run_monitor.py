@@ -23,22 +23,30 @@ S = 1_000_000_000
 def test_a_silence_is_told_once_and_so_is_its_end():
     stall_check = StallCheck()
     assert stall_check.frames(None, 90 * S) is None, "before the first frame nobody waits"
-    heard = [stall_check.frames(7, (91 + n) * S) for n in range(9)]
-    assert [line for line in heard if line] == ["no frame for 4 s"]
+    reports = [stall_check.frames(7, (91 + n) * S) for n in range(9)]
+    assert [line for line in reports if line] == ["no frame for 4 s"]
     assert stall_check.frames(8, 101 * S) == "frames come again, after 10 s"
     assert stall_check.frames(9, 102 * S) is None
 
 
 def test_a_run_that_is_slow_does_not_stand_still():
     stall_check = StallCheck()
-    told = [stall_check.frames(n // 5, n * S) for n in range(50)]
-    assert [line for line in told if line] == ["no frame for 4 s", "frames come again, after 5 s"]
+    reports = [stall_check.frames(n // 5, n * S) for n in range(50)]
+    assert [line for line in reports if line] == [
+        "no frame for 4 s",
+        "frames come again, after 5 s",
+    ]
 
 
 def test_who_is_stopped_is_named_once_and_so_is_that_it_goes_on():
     stall_check = StallCheck()
-    told = [stall_check.stopped(names) for names in ([], ["edge"], ["edge"], [])]
-    assert told == [[], ["nothing heard from edge: it is stopped (SIGSTOP)"], [], ["edge goes on"]]
+    reports = [stall_check.stopped(names) for names in ([], ["edge"], ["edge"], [])]
+    assert reports == [
+        [],
+        ["nothing heard from edge: it is stopped (SIGSTOP)"],
+        [],
+        ["edge goes on"],
+    ]
 
 
 def test_a_stopped_process_is_known_by_its_state():
@@ -53,7 +61,7 @@ def test_a_stopped_process_is_known_by_its_state():
 
 
 class Dying:
-    """A supervisor of whose processes one dies just after it was asked for a dead recording."""
+    """A supervisor of whose processes one dies just after `remove_failed` for a recording."""
 
     def __init__(self, failure: ExitReport) -> None:
         self._coming = failure
@@ -82,16 +90,16 @@ def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_tapes(
     failure = ExitReport(name, "was killed by SIGKILL", "")
     supervisor = Dying(failure)
     if not has_begun:
-        supervisor.remove_failed("", at_end=False)  # which is not asked for
-    said, recordings = io.StringIO(), []
-    monitor = RunMonitor(supervisor, None, None, Console(file=said), restart=False)
+        supervisor.remove_failed("", at_end=False)  # which is not removed
+    printed, recordings = io.StringIO(), []
+    monitor = RunMonitor(supervisor, None, None, Console(file=printed), restart=False)
     progress = object() if has_begun else None
     watch = SimpleNamespace(end=None, progress=progress, await_end=lambda _: None)
     assert monitor._fatal(watch, recordings) == (failure if ends else None)
     if not ends:
         assert monitor._fatal(watch, recordings) is None
         assert recordings == [failure]
-        assert "the run goes on without it" in said.getvalue()
+        assert "the run goes on without it" in printed.getvalue()
 
 
 class Alone:

@@ -39,7 +39,7 @@ sys.stdin.read()
 
 
 class Machines:
-    """Six hosts with a role each, and one more for a router that is not ours; keys for all."""
+    """Six hosts with a role each, and one more for a plain Zenoh router; keys for all."""
 
     def __init__(self, shell: Shell, city: City) -> None:
         self.folder = shell.folder
@@ -99,8 +99,10 @@ class Machines:
         self._commands["world"].process.send_signal(signal.SIGINT)
         for place, command in self._commands.items():
             status, output = command.finish()
-            said = "the world ended before its time: stopped" in output
-            assert (status, said) == ((130, False) if place == "world" else (1, True)), output
+            is_reported = "the world ended before its time: stopped" in output
+            assert (status, is_reported) == ((130, False) if place == "world" else (1, True)), (
+                output
+            )
 
     def run_dir(self, place: str) -> Path:
         return self.folder / place

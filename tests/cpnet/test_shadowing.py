@@ -57,8 +57,8 @@ def test_the_current_folder_is_not_looked_through_by_processes_that_are_started(
     """The installed command does not look there either; `-P -c` stands for it."""
     (tmp_path / "protocol.py").write_text("raise RuntimeError('a file of the user')")
     (tmp_path / "modules").mkdir()
-    tell = "import os, protocol; print(protocol.__file__, os.environ.get('PYTHONSAFEPATH'))"
-    (tmp_path / "modules" / "tell.py").write_text(tell)
+    script = "import os, protocol; print(protocol.__file__, os.environ.get('PYTHONSAFEPATH'))"
+    (tmp_path / "modules" / "tell.py").write_text(script)
     code = """
 from pathlib import Path
 from cpnet.fork_server import preload, start_process

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.cpnet.commands import Shell
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 pl = pytest.importorskip("polars", reason="needs the extra `study`")
 pytest.importorskip("distributed", reason="needs the extra `study`")
@@ -109,11 +109,11 @@ def test_a_stop_ends_at_once_without_a_traceback_and_says_how_to_go_on(shell, fo
 def test_a_study_that_is_done_runs_nothing_and_gives_its_rows_to_programs(shell, folder, whole):
     out = shutil.copytree(whole, folder / "done")
     before = kept(out)
-    said = json.loads(finish(shell, "--out", "done", "--json"))
+    results = json.loads(finish(shell, "--out", "done", "--json"))
     assert kept(out) == before == kept(whole)
-    assert said["rows"] == CELLS
-    assert said["failed"] == []
-    labels = [(row["traffic.cv_rate"], row["controller"]) for row in said["cells"]]
+    assert results["rows"] == CELLS
+    assert results["failed"] == []
+    labels = [(row["traffic.cv_rate"], row["controller"]) for row in results["cells"]]
     assert labels[:2] == [(0.2, "fixed plan"), (0.2, "max pressure")]
 
 
@@ -150,7 +150,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
     for process in reversed(started):
         process.terminate()
     for process in started:
-        process.wait(PATIENCE_S)
+        process.wait(TIMEOUT_S)
     log.close()
 
 

@@ -50,7 +50,7 @@ def entry(tmp_path: Path, name: str, code: str) -> ProcessEntry:
 def wait_for(path: Path, text: str) -> None:
     """Waits for a line of a child's log."""
     wait_until(
-        lambda: path.exists() and text in path.read_text(), what=f"{path} never said {text!r}"
+        lambda: path.exists() and text in path.read_text(), what=f"{path} never held {text!r}"
     )
 
 
@@ -189,7 +189,7 @@ def test_who_is_stopped_and_does_not_go_on_is_started_again(supervisor, tmp_path
         number = json.loads((tmp_path / LIST_NAME).read_text())["stuck"]
         os.kill(number, signal.SIGSTOP)
         wait_until(lambda: supervisor.stopped(1))
-        found, _ = wait_until(lambda: any(told := supervisor.restart_ended()) and told)
+        found, _ = wait_until(lambda: any(restarted := supervisor.restart_ended()) and restarted)
         assert found[0].how == "was stopped (SIGSTOP) for 0 s; started again"
         assert json.loads((tmp_path / LIST_NAME).read_text())["stuck"] != number
 

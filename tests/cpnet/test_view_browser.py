@@ -1,4 +1,4 @@
-"""The live view in a real browser: what it draws is told by colours that nothing else has."""
+"""The live view in a real browser: drawn objects are recognised by their unique colours."""
 
 import io
 import re

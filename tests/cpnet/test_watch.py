@@ -1,4 +1,4 @@
-"""Who is seen on a bus where anybody may say to be there."""
+"""Presence on a bus where any process may announce itself."""
 
 from cpnet.limits import MAX_UNEXPECTED
 from cpnet.scenario import Scenario

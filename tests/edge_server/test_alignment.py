@@ -1,4 +1,4 @@
-"""Scans are registered to what stands beside the road; agents' offsets are found and corrected."""
+"""Scans are registered to the static map; agents' offsets are estimated and corrected."""
 
 from __future__ import annotations
 
@@ -169,9 +169,9 @@ def test_scans_and_poses_of_a_misplaced_agent_are_corrected(scale: float) -> Non
     assert cav.placed.lowest[0, :2] == pytest.approx([20.0, -3.0], abs=0.08)
     assert state.frame.poses[0].pose[:2] == pytest.approx(CAV[:2], abs=0.06)
     assert post.sensor_pose is RSU
-    (told,) = state.alignments
-    assert (told.agent, told.excluded) == ("cav", False)
-    assert (told.x_m, told.y_m) == pytest.approx(tuple(off[:2]), abs=0.06)
+    (alignment,) = state.alignments
+    assert (alignment.agent, alignment.excluded) == ("cav", False)
+    assert (alignment.x_m, alignment.y_m) == pytest.approx(tuple(off[:2]), abs=0.06)
 
 
 def test_an_agent_whose_scans_contradict_the_scene_is_excluded_and_returns() -> None:

@@ -1,4 +1,4 @@
-"""When a frame is whole, and when waiting ends."""
+"""When a frame is complete, and when waiting ends."""
 
 from __future__ import annotations
 
@@ -290,7 +290,7 @@ def test_a_frame_ends_before_all_chunks_came_if_they_cover_the_scene() -> None:
     for part in (roster("vehicle-0", ["a"], ["a"]), chunk("a", 0, 4)):
         give(assembler, part)
         assert assembler.pop(6) is None
-    assert asked == []  # without poses there is nothing to be asked
+    assert asked == []  # without poses there is nothing to decide
     give(assembler, pose("a"))
     give(assembler, chunk("a", 2, 4))  # a gap before it
     assert assembler.pop(6) is None

@@ -1,4 +1,4 @@
-"""Neighbouring regions: each vehicle is told of once, by the region of its lane."""
+"""Neighbouring regions: each vehicle is published once, by the region of its lane."""
 
 from collections import Counter
 from functools import cache
@@ -63,8 +63,8 @@ class Edge:
         state.sensors = NOWHERE
         return state, self.strips.message_of(state)
 
-    def finish(self, state: FrameState, told: dict[str, BorderObjects]) -> Detections:
-        state.received = {name: told[name] for name in self.strips.neighbours}
+    def finish(self, state: FrameState, sent: dict[str, BorderObjects]) -> Detections:
+        state.received = {name: sent[name] for name in self.strips.neighbours}
         for stage in self.stages:
             stage.run(state)
         return state.detections
@@ -100,10 +100,10 @@ def test_whatever_the_cut_a_vehicle_is_told_of_once_by_the_region_of_its_lane(cu
             want[owner, lane.id] += 1
     edges = {name: Edge(region, maps) for name, region in maps.items()}
     states = {name: edge.begin(seen[name]) for name, edge in edges.items()}
-    told = {name: message for name, (_, message) in states.items()}
+    sent = {name: message for name, (_, message) in states.items()}
     found: Counter[tuple[str, str]] = Counter()
     for name, edge in edges.items():
-        found.update((name, lane) for lane in edge.finish(states[name][0], told).lanes)
+        found.update((name, lane) for lane in edge.finish(states[name][0], sent).lanes)
     assert found == want
 
 
@@ -140,9 +140,9 @@ def test_a_vehicle_keeps_its_id_from_region_to_region():
             name: edge.begin([box] if one.id in maps[name].area.by_id else [], number)
             for name, edge in edges.items()
         }
-        told = {name: message for name, (_, message) in states.items()}
+        sent = {name: message for name, (_, message) in states.items()}
         for name, edge in edges.items():
-            ids[name].update(edge.finish(states[name][0], told).track_ids.tolist())
+            ids[name].update(edge.finish(states[name][0], sent).track_ids.tolist())
     assert ids["west"] == ids["east"]
     assert len(ids["west"]) == 1
 
@@ -165,12 +165,12 @@ def test_what_a_neighbour_covers_is_covered_and_without_it_unknown():
         if lane in maps["east"].area.by_id
     )
     middle = maps["west"].area.by_id[shared].points.mean(axis=0)[:2]
-    told = BorderObjects(
+    sent = BorderObjects(
         frame=0, sim_time_ns=0, boxes=np.zeros((0, 7), np.float32), scores=np.zeros(0, np.float32),
         classes=np.zeros(0, np.uint8),
         sources=[], position_std_m=np.zeros(0, np.float32), sensors=middle[None], **no_tracks(),
     )  # fmt: skip
-    for received, is_covered in (({"east": told}, True), ({}, False)):
+    for received, is_covered in (({"east": sent}, True), ({}, False)):
         state, _ = west.begin([])
         state.received = received
         for stage in west.stages:
@@ -185,7 +185,7 @@ def exchange() -> BorderExchange:
     return BorderExchange(BorderStrips(maps["west"], maps))
 
 
-def told_of(frame: int) -> BorderObjects:
+def border_message(frame: int) -> BorderObjects:
     empty = np.zeros(0, np.float32)
     return BorderObjects(
         frame=frame, sim_time_ns=frame, boxes=np.zeros((0, 7), np.float32), scores=empty,
@@ -203,10 +203,10 @@ def waiting(exchange: BorderExchange, frame: int, wait_ns: int = 10**12) -> Fram
 
 def test_a_frame_waits_for_neighbours_that_are_there_and_for_no_others(exchange):
     waiting(exchange, 3)
-    assert exchange.is_due(0)  # nobody is there
+    assert exchange.is_due(0)  # no neighbour is present
     exchange.note_edge("east", alive=True)
     assert not exchange.is_due(0)
-    assert exchange.take("east", told_of(3))
+    assert exchange.take("east", border_message(3))
     assert exchange.is_due(0)
     assert exchange.end().received.keys() == {"east"}
     assert not exchange.is_due(0)
@@ -217,29 +217,29 @@ def test_a_frame_does_not_wait_for_ever_and_what_comes_later_is_told_apart(excha
     waiting(exchange, 3, wait_ns=0)
     assert exchange.is_due(10**18)
     assert exchange.end().received == {}
-    assert not exchange.take("east", told_of(3))
-    assert not exchange.take("stranger", told_of(4))
+    assert not exchange.take("east", border_message(3))
+    assert not exchange.take("stranger", border_message(4))
 
 
 def test_what_a_neighbour_tells_ahead_is_bounded(exchange):
     for frame in range(3 * MAX_KEPT_FRAMES):
-        exchange.take("east", told_of(frame))
+        exchange.take("east", border_message(frame))
     waiting(exchange, 3 * MAX_KEPT_FRAMES - 1)
     exchange.note_edge("east", alive=True)
     assert exchange.is_due(0)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "error_text"),
     [
         ({"sensors": np.zeros((4097, 2))}, "4097 sensors, limit 4096"),
         ({"sources": ["lidar"]}, "need one"),
         ({"sensors": np.full((1, 2), 1e8)}, "beyond 1e7"),
     ],
 )
-def test_what_a_neighbour_publishes_is_bounded(wrong, says):
-    with pytest.raises(ValueError, match=says):
-        BorderObjects.model_validate({**told_of(1).__dict__, **wrong})
+def test_what_a_neighbour_publishes_is_bounded(wrong, error_text):
+    with pytest.raises(ValueError, match=error_text):
+        BorderObjects.model_validate({**border_message(1).__dict__, **wrong})
 
 
 @pytest.mark.parametrize("std_m", [-1.0, 1001.0])
@@ -250,4 +250,4 @@ def test_a_neighbours_poses_have_an_error_that_can_be(std_m):
         "position_std_m": np.array([std_m]),
     }  # fmt: skip
     with pytest.raises(ValueError, match="not within 0 to 1000 m"):
-        BorderObjects.model_validate({**told_of(1).__dict__, **one})
+        BorderObjects.model_validate({**border_message(1).__dict__, **one})

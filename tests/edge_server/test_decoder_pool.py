@@ -1,4 +1,4 @@
-"""Scans are opened by threads, and come back as if there were none."""
+"""Decoder pool: threads decode scans, results come in the order of arrival."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from protocol.errors import CodecError
 from protocol.inbox import Inbox
 from protocol.limits import MAX_POINTS
 from protocol.messages import Scan
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 THREADS = 2
 
@@ -60,7 +60,7 @@ def test_scans_are_opened_at_the_same_time(make: Callable[..., DecoderPool]) -> 
     both = threading.Barrier(THREADS)
 
     def meet(scan: Scan, received_ns: int) -> Chunk:
-        both.wait(PATIENCE_S)
+        both.wait(TIMEOUT_S)
         return Chunk.undecodable(scan, received_ns)
 
     pool = make(meet)
@@ -76,7 +76,7 @@ def test_they_come_back_in_the_order_in_which_they_were_put(
 
     def first_last(scan: Scan, received_ns: int) -> Chunk:
         if scan.agent == "a":
-            assert gate.wait(PATIENCE_S)
+            assert gate.wait(TIMEOUT_S)
         opened.append(scan.agent)
         return Chunk.undecodable(scan, received_ns)
 
@@ -110,7 +110,7 @@ def test_who_puts_more_than_threads_can_do_waits(make: Callable[..., DecoderPool
     gate = threading.Event()
 
     def slow(scan: Scan, received_ns: int) -> Chunk:
-        assert gate.wait(PATIENCE_S)
+        assert gate.wait(TIMEOUT_S)
         return Chunk.undecodable(scan, received_ns)
 
     pool = make(slow)
@@ -149,7 +149,7 @@ def test_whoever_waits_for_messages_is_woken(make: Callable[..., DecoderPool]) -
     pool = make(Chunk.undecodable, inbox.wake)
     for agent in "ab":
         pool.put(scan_of(agent), 3)
-        wait_until(lambda: inbox.get(PATIENCE_S) is None and len(list(pool.done())) == 1)
+        wait_until(lambda: inbox.get(TIMEOUT_S) is None and len(list(pool.done())) == 1)
 
 
 def test_what_nobody_has_begun_with_is_given_up_at_the_end(
@@ -160,7 +160,7 @@ def test_what_nobody_has_begun_with_is_given_up_at_the_end(
 
     def slow(scan: Scan, received_ns: int) -> Chunk:
         begun.append(scan.agent)
-        assert gate.wait(PATIENCE_S)
+        assert gate.wait(TIMEOUT_S)
         return Chunk.undecodable(scan, received_ns)
 
     pool = make(slow)

@@ -1,4 +1,4 @@
-"""The edge role on local buses, with the agents' mouths."""
+"""The edge role on in-process buses, with the agents' messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from protocol.process import Context, loop
 from protocol.roadmap import RoadMap
 from protocol.scans import PointCloud
 from protocol.topics import BusName
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 M = TypeVar("M", bound=m.Message)
 
@@ -73,42 +73,42 @@ class Rig:
         self.role = EdgeRole.build(context)
 
     def turn(self) -> list[Envelope | Presence]:
-        """Lets the role take all that came, and open all scans; returns what it said."""
-        heard = self.glance()
+        """Lets the role handle all messages, and decode all scans; returns what it published."""
+        published = self.poll()
         while len(self.role._decoders):
-            heard += self.glance()
-        return heard
+            published += self.poll()
+        return published
 
-    def glance(self) -> list[Envelope | Presence]:
-        """Lets the role take all that came, and act; returns what it said."""
+    def poll(self) -> list[Envelope | Presence]:
+        """Lets the role handle all messages, and act; returns what it published."""
         while (item := self.inbox.get()) is not None:
             self.role.on(item)
         self.role.poll()
         return self.listen()
 
     def listen(self) -> list[Envelope | Presence]:
-        """Returns what the role said since the last time."""
-        heard = []
+        """Returns what the role published since the last time."""
+        published = []
         while (item := self.seen.get()) is not None:
-            heard.append(item)
-        return heard
+            published.append(item)
+        return published
 
-    def until_said(self, kind: type[m.Message]) -> list[Envelope | Presence]:
-        heard: list[Envelope | Presence] = []
-        wait_until(lambda: heard.extend(self.turn()) or said(heard, kind))
-        return heard
+    def until_published(self, kind: type[m.Message]) -> list[Envelope | Presence]:
+        published: list[Envelope | Presence] = []
+        wait_until(lambda: published.extend(self.turn()) or of_kind(published, kind))
+        return published
 
     def start(self) -> None:
         for name, bus in self.agents.items():
             bus.announce(name.partition("-")[0], name)
         self.turn()
 
-    def say_rosters(self, frame: int, agents: list[str], posts: list[str]) -> None:
+    def publish_rosters(self, frame: int, agents: list[str], posts: list[str]) -> None:
         for process, names in (("vehicle-0", agents), ("infra-r0", posts)):
             roster = m.Roster(frame=frame, process=process, agents=names, scanning=names)
             self.radio.publish("roster", roster, region="r0", process=process)
 
-    def say_pose(self, frame: int, agent: str) -> None:
+    def publish_pose(self, frame: int, agent: str) -> None:
         pose = m.AgentPose(
             frame=frame,
             sim_time_ns=frame * 100,
@@ -122,7 +122,7 @@ class Rig:
         )
         self.radio.publish("pose", pose, region="r0", process=host_of(agent), agent=agent)
 
-    def say_objects(self, frame: int, agent: str, boxes: int) -> None:
+    def publish_objects(self, frame: int, agent: str, boxes: int) -> None:
         found = m.Objects(
             frame=frame,
             sim_time_ns=frame * 100,
@@ -136,7 +136,7 @@ class Rig:
         )
         self.radio.publish("objects", found, region="r0", process=host_of(agent), agent=agent)
 
-    def say_scan(
+    def publish_scan(
         self,
         frame: int,
         agent: str,
@@ -171,10 +171,10 @@ def host_of(agent: str) -> str:
     return "infra-r0" if agent == "rsu-0" else "vehicle-0"
 
 
-def said(heard: list[Envelope | Presence], kind: type[M]) -> list[M]:
+def of_kind(published: list[Envelope | Presence], kind: type[M]) -> list[M]:
     return [
         item.message
-        for item in heard
+        for item in published
         if isinstance(item, Envelope) and isinstance(item.message, kind)
     ]
 
@@ -190,15 +190,15 @@ def test_the_edge_shows_itself_once_all_agents_are_there(road_map: RoadMap) -> N
 def test_a_whole_frame_gives_detections_counts_and_metrics(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_rosters(3, ["cav"], ["rsu-0"])
-    rig.say_pose(3, "cav")
-    rig.say_scan(3, "cav")
-    assert not said(rig.turn(), m.LaneCounts)
-    rig.say_scan(3, "rsu-0")
-    heard = rig.turn()
-    (counts,) = said(heard, m.LaneCounts)
-    (found,) = said(heard, m.Detections)
-    (metrics,) = said(heard, m.Metrics)
+    rig.publish_rosters(3, ["cav"], ["rsu-0"])
+    rig.publish_pose(3, "cav")
+    rig.publish_scan(3, "cav")
+    assert not of_kind(rig.turn(), m.LaneCounts)
+    rig.publish_scan(3, "rsu-0")
+    published = rig.turn()
+    (counts,) = of_kind(published, m.LaneCounts)
+    (found,) = of_kind(published, m.Detections)
+    (metrics,) = of_kind(published, m.Metrics)
     assert (counts.frame, counts.sim_time_ns, counts.complete) == (3, 300, True)
     assert counts.upstream["in_0"] >= 1
     assert "cav" in found.sources
@@ -225,8 +225,8 @@ def test_a_frame_without_agents_still_gives_counts(road_map: RoadMap) -> None:
         earliest_change_ns=0,
     )
     rig.radio.publish("state", state, tls="j")
-    rig.say_rosters(0, [], [])
-    (counts,) = said(rig.turn(), m.LaneCounts)
+    rig.publish_rosters(0, [], [])
+    (counts,) = of_kind(rig.turn(), m.LaneCounts)
     assert counts.sim_time_ns == 55
     assert counts.upstream == {"in_0": 0, "in_1": 0, "side_0": 0}
 
@@ -234,24 +234,24 @@ def test_a_frame_without_agents_still_gives_counts(road_map: RoadMap) -> None:
 def test_a_scan_that_does_not_decode_is_counted_and_holds_nobody_up(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan")
-    heard = rig.turn()
-    (counts,) = said(heard, m.LaneCounts)
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0", payload=b"SCAN but no scan")
+    published = rig.turn()
+    (counts,) = of_kind(published, m.LaneCounts)
     assert counts.complete
-    assert said(heard, m.Metrics)[0].drops == {"CodecError": 1}
+    assert of_kind(published, m.Metrics)[0].drops == {"CodecError": 1}
 
 
 def test_in_realtime_a_frame_ends_at_its_deadline(road_map: RoadMap) -> None:
     rig = Rig(road_map, mode="realtime", deadline_ms=0.001)
     rig.start()
-    rig.say_rosters(0, ["cav"], ["rsu-0"])
-    rig.say_pose(0, "cav")
-    (counts,) = said(rig.turn(), m.LaneCounts)
+    rig.publish_rosters(0, ["cav"], ["rsu-0"])
+    rig.publish_pose(0, "cav")
+    (counts,) = of_kind(rig.turn(), m.LaneCounts)
     assert not counts.complete
     assert counts.upstream["in_0"] == 1
-    rig.say_scan(0, "cav")
-    rig.say_rosters(1, [], [])
+    rig.publish_scan(0, "cav")
+    rig.publish_rosters(1, [], [])
     rig.turn()
     assert rig.role._assembler.drops["late"] == 1
 
@@ -259,11 +259,11 @@ def test_in_realtime_a_frame_ends_at_its_deadline(road_map: RoadMap) -> None:
 def test_an_agent_process_that_dies_in_lockstep_frees_the_frame(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_rosters(0, ["cav"], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
-    assert not said(rig.turn(), m.LaneCounts)
+    rig.publish_rosters(0, ["cav"], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
+    assert not of_kind(rig.turn(), m.LaneCounts)
     rig.agents["vehicle-0"].close()
-    (counts,) = said(rig.turn(), m.LaneCounts)
+    (counts,) = of_kind(rig.turn(), m.LaneCounts)
     assert counts.agents == ["rsu-0"]
 
 
@@ -272,24 +272,24 @@ def test_a_message_on_the_key_of_another_sender_is_refused(road_map: RoadMap) ->
     rig.start()
     ghost = m.Roster(frame=0, process="vehicle-0", agents=["ghost"], scanning=[])
     rig.radio.publish("roster", ghost, region="r0", process="vehicle-9")
-    rig.say_rosters(0, ["cav"], [])
-    rig.say_scan(0, "cav")
-    rig.say_pose(0, "cav")
-    (metrics,) = said(rig.turn(), m.Metrics)
+    rig.publish_rosters(0, ["cav"], [])
+    rig.publish_scan(0, "cav")
+    rig.publish_pose(0, "cav")
+    (metrics,) = of_kind(rig.turn(), m.Metrics)
     assert metrics.drops == {"wrong_sender": 1}
 
 
 def test_nobody_speaks_for_an_agent_of_another_process(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan", process="vehicle-0")
-    rig.say_rosters(0, ["cav", "rsu-0"], ["rsu-0"])
-    rig.say_scan(0, "cav", payload=b"SCAN but no scan", process="infra-r0")
-    rig.say_scan(0, "other", process="vehicle-9")
-    rig.say_scan(0, "rsu-0")
-    rig.say_scan(0, "cav")
-    rig.say_pose(0, "cav")
-    (metrics,) = said(rig.until_said(m.LaneCounts), m.Metrics)
+    rig.publish_scan(0, "rsu-0", payload=b"SCAN but no scan", process="vehicle-0")
+    rig.publish_rosters(0, ["cav", "rsu-0"], ["rsu-0"])
+    rig.publish_scan(0, "cav", payload=b"SCAN but no scan", process="infra-r0")
+    rig.publish_scan(0, "other", process="vehicle-9")
+    rig.publish_scan(0, "rsu-0")
+    rig.publish_scan(0, "cav")
+    rig.publish_pose(0, "cav")
+    (metrics,) = of_kind(rig.until_published(m.LaneCounts), m.Metrics)
     assert metrics.drops == {"wrong_sender": 3, "absent_process": 1}
     assert sorted(arrival.agent for arrival in metrics.arrivals) == ["cav", "rsu-0"]
 
@@ -297,15 +297,15 @@ def test_nobody_speaks_for_an_agent_of_another_process(road_map: RoadMap) -> Non
 def test_a_chunk_is_decoded_once(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
-    rig.say_scan(0, "rsu-0", payload=b"SCAN but no scan")
-    (metrics,) = said(rig.turn(), m.Metrics)
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
+    rig.publish_scan(0, "rsu-0", payload=b"SCAN but no scan")
+    (metrics,) = of_kind(rig.turn(), m.Metrics)
     assert metrics.drops == {"duplicate": 1}
 
 
 class Gate:
-    """Stands before the opening of scans until it is opened itself."""
+    """Blocks the decoding of scans until it is opened."""
 
     def __init__(self, rig: Rig, error: Exception | None = None) -> None:
         self.event = threading.Event()
@@ -315,7 +315,7 @@ class Gate:
         rig.role._decoders = DecoderPool(self._pass, rig.inbox.wake)
 
     def _pass(self, scan: m.Scan, received_ns: int) -> Chunk:
-        assert self.event.wait(PATIENCE_S)
+        assert self.event.wait(TIMEOUT_S)
         if self._error is not None:
             raise self._error
         return self._open_scan(scan, received_ns)
@@ -325,12 +325,12 @@ def test_of_two_copies_that_come_at_once_one_is_opened(road_map: RoadMap) -> Non
     rig = Rig(road_map)
     rig.start()
     gate = Gate(rig)
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
-    rig.say_scan(0, "rsu-0")
-    assert not said(rig.glance(), m.LaneCounts)
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
+    rig.publish_scan(0, "rsu-0")
+    assert not of_kind(rig.poll(), m.LaneCounts)
     gate.event.set()
-    (metrics,) = said(rig.turn(), m.Metrics)
+    (metrics,) = of_kind(rig.turn(), m.Metrics)
     assert metrics.drops == {"duplicate": 1}
     assert metrics.points == 100
 
@@ -342,12 +342,12 @@ def test_what_came_in_time_is_used_however_long_opening_it_takes(
     rig = Rig(road_map, mode=mode, deadline_ms=0.001, lockstep_timeout_s=1e-6)
     rig.start()
     gate = Gate(rig)
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
     for _ in range(3):
-        assert not said(rig.glance(), m.LaneCounts)
+        assert not of_kind(rig.poll(), m.LaneCounts)
     gate.event.set()
-    (counts,) = said(rig.turn(), m.LaneCounts)
+    (counts,) = of_kind(rig.turn(), m.LaneCounts)
     assert (counts.complete, counts.agents) == (True, ["rsu-0"])
 
 
@@ -357,28 +357,28 @@ def test_a_fault_of_the_opening_is_counted_and_the_frame_ends_without_the_scan(
     rig = Rig(road_map, mode="realtime", deadline_ms=0.001)
     rig.start()
     Gate(rig, error=ValueError("a fault")).event.set()
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
-    heard = rig.until_said(m.Metrics)
-    assert not said(heard, m.LaneCounts)[0].complete
-    assert said(heard, m.Metrics)[0].drops == {"role_error": 1, "frame_incomplete": 1}
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
+    published = rig.until_published(m.Metrics)
+    assert not of_kind(published, m.LaneCounts)[0].complete
+    assert of_kind(published, m.Metrics)[0].drops == {"role_error": 1, "frame_incomplete": 1}
 
 
 def test_a_frame_is_worked_on_as_soon_as_its_last_scan_is_open(
     road_map: RoadMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("protocol.process.POLL_S", 10 * PATIENCE_S)
+    monkeypatch.setattr("protocol.process.POLL_S", 10 * TIMEOUT_S)
     rig = Rig(road_map, mode="realtime", deadline_ms=10_000)
     rig.start()
     gate, stop = Gate(rig), threading.Event()
     thread = threading.Thread(target=loop, args=(rig.role, rig.inbox, stop))
     thread.start()
     try:
-        rig.say_rosters(0, [], ["rsu-0"])
-        rig.say_scan(0, "rsu-0")
+        rig.publish_rosters(0, [], ["rsu-0"])
+        rig.publish_scan(0, "rsu-0")
         wait_until(lambda: len(rig.role._decoders) == 1 and rig.inbox._queue.empty())
         gate.event.set()
-        wait_until(lambda: said(rig.listen(), m.LaneCounts))
+        wait_until(lambda: of_kind(rig.listen(), m.LaneCounts))
     finally:
         stop.set()
         rig.inbox.wake()
@@ -397,8 +397,8 @@ def test_a_size_filter_that_lets_nothing_through_is_refused() -> None:
         EdgeConfig.model_validate({"boxes": {"min_width_m": 4.0}})
 
 
-def kinds(heard: list[Envelope | Presence]) -> list[str]:
-    return [type(item.message).__name__ for item in heard if isinstance(item, Envelope)]
+def kinds(published: list[Envelope | Presence]) -> list[str]:
+    return [type(item.message).__name__ for item in published if isinstance(item, Envelope)]
 
 
 def test_in_lockstep_plans_go_out_before_the_counts_and_hold_no_measured_rate(
@@ -406,13 +406,13 @@ def test_in_lockstep_plans_go_out_before_the_counts_and_hold_no_measured_rate(
 ) -> None:
     rig = Rig(road_map, policy="power")
     rig.start()
-    rig.say_rosters(3, ["cav"], ["rsu-0"])
-    rig.say_pose(3, "cav")
-    rig.say_scan(3, "cav")
-    rig.say_scan(3, "rsu-0")
-    heard = rig.turn()
-    assert kinds(heard)[:3] == ["Plan", "Plan", "LaneCounts"]
-    plans = said(heard, m.Plan)
+    rig.publish_rosters(3, ["cav"], ["rsu-0"])
+    rig.publish_pose(3, "cav")
+    rig.publish_scan(3, "cav")
+    rig.publish_scan(3, "rsu-0")
+    published = rig.turn()
+    assert kinds(published)[:3] == ["Plan", "Plan", "LaneCounts"]
+    plans = of_kind(published, m.Plan)
     assert [plan.agent for plan in plans] == ["cav", "rsu-0"]
     for plan in plans:
         assert (plan.frame, plan.enough, plan.mbps) == (5, 3, 0)
@@ -423,9 +423,9 @@ def test_in_lockstep_plans_go_out_before_the_counts_and_hold_no_measured_rate(
 def test_who_sends_all_it_has_needs_no_plan_in_lockstep(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
-    assert said(rig.turn(), m.Plan) == []
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
+    assert of_kind(rig.turn(), m.Plan) == []
 
 
 def test_in_realtime_everybody_hears_its_rate_and_that_the_frame_is_over(
@@ -433,9 +433,9 @@ def test_in_realtime_everybody_hears_its_rate_and_that_the_frame_is_over(
 ) -> None:
     rig = Rig(road_map, mode="realtime", deadline_ms=10_000)
     rig.start()
-    rig.say_rosters(0, [], ["rsu-0"])
-    rig.say_scan(0, "rsu-0")
-    (plan,) = said(rig.turn(), m.Plan)
+    rig.publish_rosters(0, [], ["rsu-0"])
+    rig.publish_scan(0, "rsu-0")
+    (plan,) = of_kind(rig.turn(), m.Plan)
     assert (plan.frame, plan.enough, plan.agents) == (2, 0, [])
 
 
@@ -446,17 +446,17 @@ def test_in_realtime_a_frame_ends_once_neighbours_cover_the_space_between_them(
     rig.start()
     for frame, plan_frame, last in ((0, -1, 0), (1, -1, 0), (2, 2, 2)):
         chunks = 1 if frame < 2 else 4
-        rig.say_rosters(frame, ["cav"], ["rsu-0"])
-        rig.say_pose(frame, "cav")
-        rig.say_scan(frame, "cav", chunk=(0, chunks), plan_frame=plan_frame)
-        assert not said(rig.turn(), m.LaneCounts)
+        rig.publish_rosters(frame, ["cav"], ["rsu-0"])
+        rig.publish_pose(frame, "cav")
+        rig.publish_scan(frame, "cav", chunk=(0, chunks), plan_frame=plan_frame)
+        assert not of_kind(rig.turn(), m.LaneCounts)
         for chunk in range(last + 1):
-            assert not said(rig.turn(), m.LaneCounts)
-            rig.say_scan(frame, "rsu-0", chunk=(chunk, chunks), plan_frame=plan_frame)
-        heard = rig.turn()
-        (counts,) = said(heard, m.LaneCounts)
+            assert not of_kind(rig.turn(), m.LaneCounts)
+            rig.publish_scan(frame, "rsu-0", chunk=(chunk, chunks), plan_frame=plan_frame)
+        published = rig.turn()
+        (counts,) = of_kind(published, m.LaneCounts)
         assert (counts.frame, counts.complete) == (frame, True)
-        assert {plan.enough for plan in said(heard, m.Plan)} == {frame}
+        assert {plan.enough for plan in of_kind(published, m.Plan)} == {frame}
 
 
 def test_who_was_cut_by_another_plan_than_its_neighbour_must_have_sent_all(
@@ -465,34 +465,34 @@ def test_who_was_cut_by_another_plan_than_its_neighbour_must_have_sent_all(
     rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=10_000)
     rig.start()
     for frame in (0, 1):
-        rig.say_rosters(frame, ["cav"], ["rsu-0"])
-        rig.say_pose(frame, "cav")
+        rig.publish_rosters(frame, ["cav"], ["rsu-0"])
+        rig.publish_pose(frame, "cav")
         for agent in ("cav", "rsu-0"):
-            rig.say_scan(frame, agent)
-        assert said(rig.turn(), m.LaneCounts)
-    rig.say_rosters(3, ["cav"], ["rsu-0"])
-    rig.say_pose(3, "cav")
+            rig.publish_scan(frame, agent)
+        assert of_kind(rig.turn(), m.LaneCounts)
+    rig.publish_rosters(3, ["cav"], ["rsu-0"])
+    rig.publish_pose(3, "cav")
     for chunk in range(3):
-        rig.say_scan(3, "cav", chunk=(chunk, 4), plan_frame=2)
-        rig.say_scan(3, "rsu-0", chunk=(chunk, 4), plan_frame=3)
-    assert not said(rig.turn(), m.LaneCounts)
-    rig.say_scan(3, "cav", chunk=(3, 4), plan_frame=2)
-    assert said(rig.turn(), m.LaneCounts)
+        rig.publish_scan(3, "cav", chunk=(chunk, 4), plan_frame=2)
+        rig.publish_scan(3, "rsu-0", chunk=(chunk, 4), plan_frame=3)
+    assert not of_kind(rig.turn(), m.LaneCounts)
+    rig.publish_scan(3, "cav", chunk=(3, 4), plan_frame=2)
+    assert of_kind(rig.turn(), m.LaneCounts)
 
 
 def test_whose_scan_is_always_late_still_gets_a_plan(road_map: RoadMap) -> None:
     rig = Rig(road_map, mode="realtime", policy="reap", deadline_ms=20)
     rig.start()
     for frame in (0, 1):
-        rig.say_rosters(frame, ["cav"], ["rsu-0"])
-        rig.say_pose(frame, "cav")
-        rig.say_scan(frame, "cav")
-        heard = rig.turn()
-        while not said(heard, m.Plan):
-            heard = rig.turn()
-        rig.say_scan(frame, "rsu-0")
+        rig.publish_rosters(frame, ["cav"], ["rsu-0"])
+        rig.publish_pose(frame, "cav")
+        rig.publish_scan(frame, "cav")
+        published = rig.turn()
+        while not of_kind(published, m.Plan):
+            published = rig.turn()
+        rig.publish_scan(frame, "rsu-0")
         rig.turn()
-    plans = said(heard, m.Plan)
+    plans = of_kind(published, m.Plan)
     assert [plan.agents for plan in plans] == [["cav", "rsu-0"]] * 2
 
 
@@ -518,18 +518,18 @@ def test_a_flood_from_one_agent_delays_no_frame_of_the_others(
     rig.start()
     for frame in range(4):
         rig.radio.publish("state", world_at(frame), tls="j")
-        rig.say_rosters(frame, ["cav"], ["rsu-0"])
-        rig.say_pose(frame, "cav")
+        rig.publish_rosters(frame, ["cav"], ["rsu-0"])
+        rig.publish_pose(frame, "cav")
         for repeat in range(200):
             for claimed in (frame, max(frame - 2, 0), frame + 50 + repeat):
-                rig.say_scan(claimed, "cav", chunk=(repeat % chunks, chunks))
-            rig.say_scan(frame, "rsu-0", chunk=(63, 64), key="cav")  # in another's name
-        rig.say_scan(frame, "rsu-0")
+                rig.publish_scan(claimed, "cav", chunk=(repeat % chunks, chunks))
+            rig.publish_scan(frame, "rsu-0", chunk=(63, 64), key="cav")  # in another's name
+        rig.publish_scan(frame, "rsu-0")
         assert rig.inbox._queue.qsize() <= 4 * (chunks + 1) + 8
-        heard = rig.until_said(m.LaneCounts)
-        (counts,) = said(heard, m.LaneCounts)
+        published = rig.until_published(m.LaneCounts)
+        (counts,) = of_kind(published, m.LaneCounts)
         assert counts.frame == frame
-        (metrics,) = said(heard, m.Metrics)
+        (metrics,) = of_kind(published, m.Metrics)
         assert "rsu-0" in {arrival.agent for arrival in metrics.arrivals}
         decoded = [span for span in metrics.spans if span.stage == "decode"]
         assert len(decoded) <= chunks + 1
@@ -560,24 +560,24 @@ def test_a_scenario_says_whether_anybody_sends_what_a_lidar_sees(
 def test_strangers_who_fill_a_frame_do_not_end_the_edge(road_map: RoadMap) -> None:
     rig = Rig(road_map)
     rig.start()
-    rig.say_rosters(3, ["cav"], ["rsu-0"])
+    rig.publish_rosters(3, ["cav"], ["rsu-0"])
     nothing = encode_cloud(PointCloud(np.zeros((0, 3), np.float32), np.zeros(0, np.float32)), 0.02)
     for number in range(2100):
         stranger = f"{number:0128}"
-        rig.say_scan(3, stranger, payload=nothing)
+        rig.publish_scan(3, stranger, payload=nothing)
         if number < 600:
-            rig.say_pose(3, stranger)
-            rig.say_objects(3, stranger, boxes=40)
+            rig.publish_pose(3, stranger)
+            rig.publish_objects(3, stranger, boxes=40)
         if number % 500 == 0:
             rig.turn()
-    rig.say_pose(3, "cav")
-    rig.say_scan(3, "cav")
-    rig.say_scan(3, "rsu-0")
-    heard = rig.until_said(m.Metrics)
-    (counts,) = said(heard, m.LaneCounts)
+    rig.publish_pose(3, "cav")
+    rig.publish_scan(3, "cav")
+    rig.publish_scan(3, "rsu-0")
+    published = rig.until_published(m.Metrics)
+    (counts,) = of_kind(published, m.LaneCounts)
     assert {"cav", "rsu-0"} <= set(counts.agents)
     assert len(counts.agents) == 512
-    (metrics,) = said(heard, m.Metrics)
+    (metrics,) = of_kind(published, m.Metrics)
     assert metrics.drops["too_many_agents"] > 1000
     assert metrics.drops["frame_too_large"] > 300
     assert metrics.drops["untold"] > 100

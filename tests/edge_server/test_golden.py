@@ -1,4 +1,4 @@
-"""Recorded scans through the pipeline: the same vehicles as when it was last looked at."""
+"""Golden replay: recorded scans through the pipeline give the expected vehicles."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""How much of each lane lies within sight of a LiDAR."""
+"""Sensor coverage: how much of each lane lies within the range of a LiDAR."""
 
 from __future__ import annotations
 

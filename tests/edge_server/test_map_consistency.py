@@ -1,4 +1,4 @@
-"""The map judges where it knows all lanes; elsewhere it says nothing, for or against."""
+"""Map consistency: scores where the map has all lanes; elsewhere None."""
 
 import numpy as np
 import pytest

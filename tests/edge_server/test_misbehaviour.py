@@ -1,4 +1,4 @@
-"""Agents are trusted unless their data cannot be so."""
+"""Misbehaviour detection: agents are trusted unless their data is implausible."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Scene:
         rng = np.random.default_rng(1)
         earth = ground(rng, count=60_000)
         near = np.zeros(len(earth), bool)
-        for x, y in [*CARS, (-40, -1.75), (44, 1.75)]:  # under and around cars nobody sees it
+        for x, y in [*CARS, (-40, -1.75), (44, 1.75)]:  # not visible under and around cars
             near |= (np.abs(earth[:, 0] - x) < 2.4) & (np.abs(earth[:, 1] - y) < 1.1)
         self.earth = earth[~near]
         self.car_shell, self.rng = car_shell, rng
@@ -56,21 +56,21 @@ class Scene:
         return self.clouds[key]
 
     def frame(self, number: int, **moved: Floats) -> Frame:
-        """Returns a frame; who is named says that it stands so far off, (6,), and looks from it."""
+        """Returns a frame; named agents claim poses that are off by (6,), and scan from these."""
         poses, chunks = [], []
         for agent, x, y in (("a", -40.0, -1.75), ("b", 44.0, 1.75)):
             true_pose = np.array([x, y, 0, 0, 0, 0])
-            said = true_pose + moved.get(agent, 0)
-            poses.append(pose_of(number, agent, said))
-            chunks.append(self.chunk(number, agent, true_pose, said, 2.4))
+            claimed = true_pose + moved.get(agent, 0)
+            poses.append(pose_of(number, agent, claimed))
+            chunks.append(self.chunk(number, agent, true_pose, claimed, 2.4))
         off = moved.get("rsu", np.zeros(6))
         chunks.append(self.chunk(number, RSU, RSU_POSE, RSU_POSE + off, 0.0))
         return frame_of(number, poses, chunks)
 
-    def chunk(self, number: int, agent: str, true: Floats, said: Floats, up_m: float) -> Chunk:
+    def chunk(self, number: int, agent: str, true: Floats, claimed: Floats, up_m: float) -> Chunk:
         up = np.array([0, 0, up_m, 0, 0, 0])
         points = SE3.from_pose(true + up).inverse().apply(self.cloud(true + up))
-        return self.placed(number, agent, said + up, points.astype(np.float32))
+        return self.placed(number, agent, claimed + up, points.astype(np.float32))
 
     def placed(self, number: int, agent: str, sensor: Floats, points: Any) -> Chunk:
         pose = SE3.from_pose(sensor)
@@ -114,7 +114,7 @@ def frame_of(number: int, poses: list[AgentPose], chunks: list[Chunk]) -> Frame:
 
 
 def excluded(frames: Sequence[Frame], judged: Sequence[FrameState]) -> set[str]:
-    """Returns who was excluded from the last frame, and nobody else ever was."""
+    """Returns the agents excluded from the last frame; no other one ever was."""
     lost = [set(f.agents) - set(j.frame.agents) for f, j in zip(frames, judged, strict=True)]
     assert set().union(*lost) == lost[-1]
     return lost[-1]
@@ -245,7 +245,7 @@ def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
     for number in range(10):
         off_m = 0.0 if number == 0 else 60.0 * (number % 2)
         pose = pose_of(number, "a", np.array([-60.0 - off_m, -1.75, 0, 0, 0, 0]))
-        said = Objects(
+        claimed = Objects(
             frame=number,
             sim_time_ns=number * 10**8,
             agent="a",
@@ -256,7 +256,7 @@ def test_boxes_of_an_excluded_agent_do_not_count(road_map: RoadMap):
             sense_end_ns=0,
             detect_end_ns=0,
         )
-        frame = replace(frame_of(number, [pose], []), found=[AgentDetections(said, 0)])
+        frame = replace(frame_of(number, [pose], []), found=[AgentDetections(claimed, 0)])
         counts.append(pipeline.run(frame).counts["j"].upstream["in_0"])
     assert (counts[0], counts[-1]) == (2, 0)
 
@@ -272,10 +272,10 @@ def test_the_check_can_be_turned_off(road_map: RoadMap):
 
 def test_of_many_low_scores_some_are_published_in_each_frame(scene: Scene):
     stage = scene.stage()
-    told = []
+    published = []
     for number in range(6):
         place = np.array([-20.0 + 50 * (number % 2), 0, 0, 0, 0, 0])
         poses = [pose_of(number, f"{n}", place, Equipment.CV) for n in range(300)]
-        told.append(len(checked(stage, frame_of(number, poses, [])).scores))
-    assert told[0] == 0
-    assert max(told) == MAX_PUBLISHED
+        published.append(len(checked(stage, frame_of(number, poses, [])).scores))
+    assert published[0] == 0
+    assert max(published) == MAX_PUBLISHED

@@ -1,4 +1,4 @@
-"""Whether an agent can have come to where it says it is."""
+"""Motion check: whether an agent can have moved to its claimed pose."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_sensor_on_a_vehicle_that_pitches_and_rolls_stays_on_it(tilts) -> None
     vehicle_SE3_sensor = SE3.from_pose([0.3, 0.1, 2.4, 0, 0, 0])
     for frame, (roll_rad, pitch_rad) in enumerate(tilts):
         pose = np.array([10.0 + frame, 5, 1, roll_rad, pitch_rad, 1.57])
-        said = AgentPose(
+        reported = AgentPose(
             frame=frame,
             sim_time_ns=frame * PERIOD_NS,
             agent="cav",
@@ -88,7 +88,7 @@ def test_a_sensor_on_a_vehicle_that_pitches_and_rolls_stays_on_it(tilts) -> None
             position_std_m=0.05,
         )
         sensor_pose = (SE3.from_pose(pose) @ vehicle_SE3_sensor).as_pose()
-        claimed = ClaimedPose.of(frame * PERIOD_NS, said, sensor_pose)
+        claimed = ClaimedPose.of(frame * PERIOD_NS, reported, sensor_pose)
         assert claimed is not None
         assert motion.score(claimed, FAST_MPS) == 1.0
 

@@ -1,4 +1,4 @@
-"""Who speaks for whom."""
+"""Ownership of agents: which process may publish for which agent."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def test_one_process_cannot_speak_for_all_the_world() -> None:
 
 
 @given(st.lists(st.tuples(PROCESSES, st.lists(AGENTS, unique=True))))
-def test_no_agent_is_ever_two_processes(said: list[tuple[str, list[str]]]) -> None:
+def test_no_agent_is_ever_two_processes(rosters: list[tuple[str, list[str]]]) -> None:
     owners, newest = AgentOwners({}, Counter()), {}
-    for process, agents in said:
+    for process, agents in rosters:
         newest[process] = owners.own(roster(process, *agents)).agents
         held = [agent for one in newest.values() for agent in one]
         assert len(held) == len(set(held))

@@ -1,4 +1,4 @@
-"""Where sensors stand, whatever the order in which it is told."""
+"""Sensor sites, whatever the order of messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What arrives too late over virtual links is left out, whatever the wall clock says."""
+"""Messages that arrive too late over virtual links are left out, whatever the wall clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Feeds all targets, each in processes of its own, and tells what came of it.
+"""Fuzzing campaign: feeds all targets, each in processes of its own, and reports the results.
 
     scripts/fuzz --messages 10000000 --seed 1
     scripts/fuzz --replay TARGET FILE
@@ -58,7 +58,7 @@ class Job:
 
     @property
     def how(self) -> str:
-        """What chose the inputs."""
+        """Method of choosing inputs."""
         if self.checked:
             return "indices checked"
         return "by chance" if atheris is None else "guided"
@@ -153,7 +153,7 @@ def line(job: Job) -> str:
 
 
 def replay(name: str, path: Path) -> int:
-    """Reads one input and says what happens."""
+    """Reads one input and prints the result."""
     begin_ns = time.thread_time_ns()
     try:
         good = TARGETS[name].takes(path.read_bytes())

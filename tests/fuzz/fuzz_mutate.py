@@ -61,7 +61,7 @@ def shake_text(words: Sequence[bytes], rng: Random, data: bytes, others: Sequenc
 
 
 def shake_message(rng: Random, data: bytes, others: Sequence[bytes]) -> bytes:
-    """Changes a message's header, a field of it or the body; its prefix says true lengths."""
+    """Changes a message's header, a field of it or the body; its prefix has the true lengths."""
     if rng.random() < 0.2 or len(data) < PREFIX.size:
         return shake(rng, data, others)
     magic, version, kind, header_len, _ = PREFIX.unpack_from(data)

@@ -1,4 +1,4 @@
-"""Whatever reads bytes or text that others wrote, as a table: what it may raise and may take."""
+"""Fuzz targets: all readers of untrusted bytes or text, with allowed errors and limits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ HERE = Path(__file__).parent
 GOLDEN = HERE.parent / "protocol" / "golden"
 MAX_INPUT_BYTES = 1 << 16
 LIMIT_MS = 100  # of CPU time, for one input
-HANG_S = 20  # of wall time; then nobody waits any longer
+HANG_S = 20  # of wall time; then it counts as hanging
 # A header's lists and maps, as Python holds them, and a body.
 MESSAGE_MIB = 64
 # A payload; of each point that it may claim the coordinates as float64, twice, its cell, its key,

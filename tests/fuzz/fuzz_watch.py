@@ -1,4 +1,4 @@
-"""What a worker leaves in a file for whoever watches it, and for after its death."""
+"""State of a fuzzing worker in a shared file, which outlives its process."""
 
 from __future__ import annotations
 

@@ -216,7 +216,7 @@ def test_a_header_full_of_nothing_is_soon_refused(name: str):
 
 @pytest.mark.parametrize("field", ["vehicle_types", "polygons", "meshes", "scenario"])
 def test_a_setup_full_of_errors_costs_one(field: str):
-    """The world's host alone says one, once; it is as large as it may be."""
+    """Only the world's host publishes one, once; it is as large as allowed."""
     count = 1_900_000
     wrong: object = [1] * (7 * count)
     if field == "scenario":

@@ -1,4 +1,4 @@
-"""What senders can fill: stuffed with all that a hostile one could say, and measured."""
+"""Memory that senders can fill: measured with the most that a hostile one can publish."""
 
 from __future__ import annotations
 
@@ -216,17 +216,17 @@ def test_what_is_said_of_the_fullest_frame_fits_into_its_messages():
     names = part.named()
     assert len(names) == MAX_AGENTS
     frame = Frame(0, 0, names, [], [*part.chunks.values()], complete=True, first_ns=0, ready_ns=1)
-    told = _within_message(frame)
-    spans, arrivals = _waits(told), _arrivals(told)
+    cut = _within_message(frame)
+    spans, arrivals = _waits(cut), _arrivals(cut)
     scores = [
         m.AgentScore(agent=name, score=0.1, trusted=False, motion=1, place=1, ground=1)
         for name in names[:MAX_PUBLISHED]
     ]
-    said = m.Metrics(
+    published = m.Metrics(
         process="edge", frame=0, sim_time_ns=0, spans=spans, arrivals=arrivals, scores=scores
     )
-    assert len(encode(said)) > 1 << 16
-    assert 300 < len(told.chunks) < len(frame.chunks)
+    assert len(encode(published)) > 1 << 16
+    assert 300 < len(cut.chunks) < len(frame.chunks)
     few = Frame(0, 0, names, [], frame.chunks[:200], complete=True, first_ns=0, ready_ns=1)
     assert _within_message(few).chunks == few.chunks
     lidar, own = ["lidar"] * MAX_BOXES, names

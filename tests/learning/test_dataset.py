@@ -83,8 +83,8 @@ def test_a_sample_is_read_as_it_was_seen(dataset):
     for read, scan, points_on in zip(sample.scans, scans, sample.points_on, strict=True):
         np.testing.assert_array_equal(read.points, scan.points[:, :3])
         assert (None if read.own is None else vehicles[read.own]) == scan.row.own
-        told = {label.vehicle: label.points for label in scan.labels}
-        assert points_on.tolist() == [told.get(vehicle, 0) for vehicle in vehicles]
+        labelled = {label.vehicle: label.points for label in scan.labels}
+        assert points_on.tolist() == [labelled.get(vehicle, 0) for vehicle in vehicles]
         believed = SE3.from_pose(scan.row.map_SE3_sensor.believed)
         np.testing.assert_array_equal(read.map_SE3_sensor.rotation, believed.rotation)
         map_SE3_sensor = SE3.from_pose(scan.row.map_SE3_sensor.true)

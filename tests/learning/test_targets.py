@@ -31,8 +31,8 @@ def test_every_sure_vehicle_has_an_anchor_whose_terms_are_its_box(
     targets = targets_of(boxes, CARS, np.array([True]), WINDOW, SMALL)
     assert len(targets.place) >= 1
     kind, cell = np.divmod(targets.place.astype(np.int64), SIDE**2)
-    said = boxes_of(targets.terms, middle_of(cell, WINDOW, SMALL), kind, SMALL)
-    assert overlaps(said, boxes)[1].min() == pytest.approx(1, abs=1e-3)
+    decoded = boxes_of(targets.terms, middle_of(cell, WINDOW, SMALL), kind, SMALL)
+    assert overlaps(decoded, boxes)[1].min() == pytest.approx(1, abs=1e-3)
     assert targets.counts[targets.place].all()
 
 
@@ -75,5 +75,7 @@ def test_an_object_is_asked_for_by_the_anchors_of_its_class_alone(anchor) -> Non
     kind, cell = np.divmod(targets.place.astype(np.int64), SIDE**2)
     assert len(kind) >= 1
     assert set(SMALL.classes()[kind].tolist()) == {int(anchor.object_class)}
-    said = boxes_of(targets.terms, middle_of(cell, WINDOW, SMALL), kind, SMALL)
-    np.testing.assert_allclose(said[:, :6], np.repeat(boxes[:, :6], len(kind), axis=0), atol=1e-3)
+    decoded = boxes_of(targets.terms, middle_of(cell, WINDOW, SMALL), kind, SMALL)
+    np.testing.assert_allclose(
+        decoded[:, :6], np.repeat(boxes[:, :6], len(kind), axis=0), atol=1e-3
+    )

@@ -26,7 +26,7 @@ from sensing.lossy_link import link_over
 from tests.kernel_path import KernelPath, lossy_connection
 from tests.link_relay.sink import Rig
 
-_PACKETS = 60_000  # of which it is told which are lost: more than a path sends
+_PACKETS = 60_000  # whose losses are given: more than a path sends
 
 
 @dataclass(frozen=True, slots=True)

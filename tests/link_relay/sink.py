@@ -11,7 +11,7 @@ from protocol.tcpinfo import unsent_bytes
 from sensing.link_channel import Channel
 from sensing.link_config import profile_named
 from sensing.link_profile import LinkProfile
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 
 class Sink:
@@ -58,7 +58,7 @@ class Rig:
         self.agent = socket.create_connection(self.relay.address)
         self.agent.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.agent.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
-        assert self.sink.accepted.wait(PATIENCE_S)
+        assert self.sink.accepted.wait(TIMEOUT_S)
 
     def unsent_bytes(self) -> int:
         """What of the agent's bytes the relay has not taken."""
@@ -68,9 +68,9 @@ class Rig:
     def close(self) -> None:
         self.agent.close()
         self.relay.stop()
-        self.thread.join(PATIENCE_S)
+        self.thread.join(TIMEOUT_S)
         assert not self.thread.is_alive()
-        assert self.sink.ended.wait(PATIENCE_S)
+        assert self.sink.ended.wait(TIMEOUT_S)
         self.sink.server.close()
 
 

@@ -15,7 +15,7 @@ from sensing.link_channel import Channel, VirtualLink
 from sensing.link_profile import LinkProfile
 from tests.kernel_links import shaped_connection
 from tests.link_relay.sink import Rig, rigs
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 MS = 1_000_000
 Make = Callable[[str], Rig]
@@ -70,7 +70,7 @@ def test_a_connection_that_the_agent_ends_ends_at_the_edge(make):
     rig = make("5mbit,20ms")
     rig.agent.sendall(b"last words")
     rig.agent.shutdown(socket.SHUT_WR)
-    assert rig.sink.ended.wait(PATIENCE_S)
+    assert rig.sink.ended.wait(TIMEOUT_S)
     assert bytes(rig.sink.data) == b"last words"
 
 
@@ -123,7 +123,7 @@ def test_an_edge_that_is_not_there_ends_the_agents_connection():
     with socket.create_connection(shaper.address) as agent:
         assert agent.recv(1) == b""
     shaper.stop()
-    thread.join(PATIENCE_S)
+    thread.join(TIMEOUT_S)
     assert not thread.is_alive()
 
 

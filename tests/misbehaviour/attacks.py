@@ -1,4 +1,4 @@
-"""What an agent may send that is not so: it is mistaken, broken, or lies."""
+"""Attacks and faults: false data that an agent may send."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ ALONE_M = 6.0  # from any vehicle: nothing is there
 
 
 class Attack(Protocol):
-    """Changes what one agent said in a frame; frames come one after the other."""
+    """Changes one agent's data in a frame; frames come one after the other."""
 
     def apply(self, frame: Frame, victim: str) -> Frame:
-        """Returns the frame as the edge would have it."""
+        """Returns the frame with false data."""
 
 
 @dataclass(frozen=True, slots=True)
 class Displaced:
-    """All that the agent says is moved, in its own frame, and turned; its cloud goes with it."""
+    """The agent's pose and cloud are moved, in its own frame, and turned."""
 
     along_m: float = 0.0
     across_m: float = 0.0
@@ -118,7 +118,7 @@ class Peopled:
 
 @dataclass(frozen=True, slots=True)
 class GhostReport:
-    """One more vehicle with a radio says that it stands where nothing does; `victim` is a post."""
+    """One more vehicle with a radio reports a position where nothing stands; `victim` is a post."""
 
     road_map: RoadMap
     position_std_m: float
@@ -149,7 +149,7 @@ class GhostReport:
 def free_places(
     road_map: RoadMap, frame: Frame, around_m: Floats, ring_m: tuple[float, float]
 ) -> Floats:
-    """Returns poses (N, 6) along the lanes, so far from a place, where no point tells of a body."""
+    """Returns poses (N, 6) along the lanes, so far from a place, without points of a body."""
     poses: list[Floats] = []
     for lane in road_map.lanes:
         for start, end in zip(lane.points[:-1], lane.points[1:], strict=True):

@@ -114,7 +114,7 @@ class RecordedRun:
         self.frames = [_thinned(frame) for frame in frames_of(run_dir)]
 
     def honest(self) -> MisbehaviourRow:
-        """Judges all frames as they were."""
+        """Checks all frames unchanged."""
         out = sum(len(lost) for _, lost in self._judge(self.frames, None, ""))
         spoken = sum(len(frame.agents) for frame in self.frames)
         hours = spoken * self.period_s / 3600

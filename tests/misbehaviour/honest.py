@@ -1,4 +1,4 @@
-"""`scripts/honest`: runs in which nobody lies, on many nets; who is excluded all the same, and why.
+"""`scripts/honest`: false alarms of misbehaviour detection in honest runs on many nets.
 
 In turn: junctions drawn as those of `cpnet dataset`, roads that cross on a bridge, and a town of
 whose signals one is controlled, so that agents drive on roads that its map lacks.

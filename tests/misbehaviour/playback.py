@@ -1,4 +1,4 @@
-"""A recorded run's frames as the edge had them, from its snapshots: to judge them anew."""
+"""A recorded run's frames as the edge had them, from its snapshots, to check them again."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sensing.pose import estimated_pose, position_std_m
 def frames_of(run_dir: Path) -> Iterator[Frame]:
     """Yields the frames of a run that kept a snapshot of each (`record.snapshot_period_s`).
 
-    Poses are those that the agents believed: their errors follow from the seed.
+    Poses are the agents' estimates: their errors follow from the seed.
 
     Raises:
         ConfigError: the folder is no run.

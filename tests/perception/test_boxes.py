@@ -115,7 +115,7 @@ def test_what_is_too_short_low_or_high_for_that_is_none(
 def test_before_a_window_lie_a_bonnet_or_a_boot_that_nobody_sees(
     roadway: Roadway, x: float, lowest_m: float, rear_m: float, front_m: float
 ) -> None:
-    """Rear and front of a lane's vehicles are told apart by the way that the lane leads."""
+    """Rear and front of a lane's vehicles are distinguished by the lane's direction."""
     rng = np.random.default_rng(1)
     for y in (-1.75, 1.75):
         seen = rng.uniform([x - 1, y - 0.85, lowest_m], [x + 1, y + 0.85, 1.5], (400, 3))

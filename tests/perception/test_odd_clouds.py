@@ -1,4 +1,4 @@
-"""Clouds that no sensor gives, or that somebody makes up: every detector ends soon and is right."""
+"""Contrived point clouds: every detector ends soon and is right."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import pytest
 
 from perception import parallel
 from perception.parallel import each
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 
 @pytest.mark.parametrize("cores", [1, 2, 8])
@@ -22,7 +22,7 @@ def test_results_come_in_the_order_of_items(
 
 def test_all_threads_take_part(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "threads", lambda: 2)
-    both = threading.Barrier(2, timeout=PATIENCE_S)  # nobody gets past it alone
+    both = threading.Barrier(2, timeout=TIMEOUT_S)  # no thread gets past it alone
     names = each(lambda _: (both.wait(), threading.current_thread().name)[1], [0, 1])
     assert len(set(names)) == 2
 

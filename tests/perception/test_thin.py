@@ -1,4 +1,4 @@
-"""Thinning leaves no gap wider than asked for, and takes nothing that does not crowd."""
+"""Thinning leaves no gap wider than the spacing, and removes only dense beams."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Tracks: ids that stay, speeds, and what becomes of vehicles that nobody sees."""
+"""Tracks: persistent ids, speeds, and coasting of vehicles that no sensor sees."""
 
 from __future__ import annotations
 

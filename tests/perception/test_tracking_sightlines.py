@@ -1,4 +1,4 @@
-"""What sensors have seen through: the ground behind a place says that it is empty."""
+"""Sight lines of sensors: visible ground behind a place shows that it is empty."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Access control as data: what the rules allow is what the topic table says, no more."""
+"""Access control rules allow what the topic table allows, and nothing else."""
 
 from functools import lru_cache
 
@@ -59,13 +59,13 @@ def test_each_may_say_and_hear_what_the_table_says_and_say_it_under_its_own_id(
     for author, _ in EVERYBODY:
         key = topic.key(process=author, **PARTS)
         own = "{process}" not in topic.template or author == process_id
-        # that of another region: its edge, its signals; neighbours alone hear what an edge tells
+        # keys of another region: its edge, its signals; only neighbours receive border messages
         foreign = region_of(process_id) not in ("", "r0") and "{" in topic.template
-        says = own and not (foreign and {"{region}", "{tls}"} & {*topic.template.split("/")})
-        hears = not (foreign and "{region}" in topic.template and name != "border")
+        publishes = own and not (foreign and {"{region}", "{tls}"} & {*topic.template.split("/")})
+        subscribes = not (foreign and "{region}" in topic.template and name != "border")
         want = {
-            "say": role in topic.publishers and says,
-            "hear": role in topic.subscribers and hears,
+            "say": role in topic.publishers and publishes,
+            "hear": role in topic.subscribers and subscribes,
         }
         for verb, flows in (ASKS if name in QUERIED else SENDS).items():
             for flow, message in flows:
@@ -86,9 +86,9 @@ def test_observers_may_ask_for_all_before_they_know_the_region(process_id):
 def test_nothing_that_one_says_can_be_taken_for_what_it_may_not_say(process_id, role):
     for topic in TOPICS.values():
         if role not in topic.publishers:
-            heard = zenoh.KeyExpr(topic.key(region="r0", tls="J"))
-            said = allowed(topic.bus, process_id, "ingress", "put")
-            assert not any(key.intersects(heard) for key in said), topic.name
+            key_expr = zenoh.KeyExpr(topic.key(region="r0", tls="J"))
+            allowed_keys = allowed(topic.bus, process_id, "ingress", "put")
+            assert not any(key.intersects(key_expr) for key in allowed_keys), topic.name
 
 
 @pytest.mark.parametrize(("process_id", "role"), EVERYBODY)

@@ -20,9 +20,9 @@ from protocol.messages import End, Roster
 from protocol.topics import ALIVE, BusName
 from protocol.wire import encode
 from tests.messages import SCAN
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
-WAIT_S = PATIENCE_S
+WAIT_S = TIMEOUT_S
 
 
 @pytest.fixture
@@ -151,18 +151,18 @@ def test_an_endpoint_that_says_neither_listen_nor_connect_is_refused(text):
         Endpoint.parse(text)
 
 
-def until_heard(sender: ZenohBus, region: str, inbox: Inbox) -> None:
+def until_subscribed(sender: ZenohBus, region: str, inbox: Inbox) -> None:
     """Sends rosters until the subscription of the other side has crossed, and all are there."""
     frames, latest = count(), -1
 
-    def heard() -> Envelope | Presence | None:
+    def received() -> Envelope | Presence | None:
         nonlocal latest
         latest = next(frames)
         roster = Roster(frame=latest, process="p", agents=[], scanning=[])
         sender.publish("roster", roster, region=region, process="p")
         return inbox.get(0.05)
 
-    item: Envelope | Presence | None = wait_until(heard)
+    item: Envelope | Presence | None = wait_until(received)
     while not (isinstance(item, Envelope) and item.message.frame == latest):
         item = inbox.get(WAIT_S)
         assert item is not None
@@ -178,8 +178,8 @@ def test_what_is_computed_within_one_process_is_what_the_kernel_counts(
         for topic in ("scan", "roster"):
             up.subscribe(topic, region="up")
             down.subscribe(topic, region="down")
-    until_heard(client, "up", edge_inbox)
-    until_heard(router, "down", client_inbox)
+    until_subscribed(client, "up", edge_inbox)
+    until_subscribed(router, "down", client_inbox)
     scan = SCAN.model_copy(update={"payload": np.zeros(7_000, np.uint8)})
     roster = Roster(frame=1, process="p", agents=["a", "b"], scanning=["a"])
     before, repeated = client.traffic(), repeated_bytes(client)

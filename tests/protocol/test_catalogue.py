@@ -71,19 +71,19 @@ def test_what_is_asked_for_is_imported_and_made(offered: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "error_text"),
     [
         ("broken", r"the thing broken of odd-things 1\.0 cannot be imported .*no_such_module"),
         ("gone", r"of odd-things 1\.0 cannot be imported \(cpnet_test_odd:Missing\): Attribute"),
     ],
 )
-def test_what_cannot_be_imported_is_told_with_its_package(offered, name, said) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_what_cannot_be_imported_is_told_with_its_package(offered, name, error_text) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         THINGS.load(name)
 
 
 @pytest.mark.parametrize(
-    ("name", "method", "arguments", "said"),
+    ("name", "method", "arguments", "error_text"),
     [
         ("odd", "act", (-1,), r"thing odd of odd-things 1\.0 cannot be made: ValueError: size is"),
         ("odd", "act", (), r"odd-things 1\.0 cannot be made: TypeError"),
@@ -93,9 +93,9 @@ def test_what_cannot_be_imported_is_told_with_its_package(offered, name, said) -
     ],
 )
 def test_what_is_not_of_its_kind_is_told_with_its_package(
-    offered, name, method, arguments, said
+    offered, name, method, arguments, error_text
 ) -> None:
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         THINGS.load(name).make(method, *arguments)
 
 

@@ -18,9 +18,9 @@ DELAYS = st.integers(0, 10**8)
 OFFSETS = st.integers(-(10**15), 10**15)
 
 
-def exchange(offset: int, there: int, back: int, asked: int = 0, thought: int = 50) -> Exchange:
-    heard = asked + there + offset
-    return Exchange(asked, heard, heard + thought, asked + there + thought + back)
+def exchange(offset: int, there: int, back: int, sent: int = 0, thought: int = 50) -> Exchange:
+    received = sent + there + offset
+    return Exchange(sent, received, received + thought, sent + there + thought + back)
 
 
 @settings(deadline=None)
@@ -37,13 +37,13 @@ def test_the_fastest_round_trip_decides_and_its_error_holds_while_clocks_drift(o
     estimate = OffsetFilter()
     now, true = 0, float(offset)
     for there, back in ways:
-        estimate.add(exchange(round(true), there, back, asked=now))
+        estimate.add(exchange(round(true), there, back, sent=now))
         now += 10**9
         true += 0.9 * DRIFT * 10**9
     found = estimate.best(now)
     assert found is not None
     assert abs(found[0] - true) <= found[1] + 2
-    freshest = exchange(0, *ways[-1], asked=now - 10**9)
+    freshest = exchange(0, *ways[-1], sent=now - 10**9)
     assert found[1] <= freshest.error_at_ns(now)
 
 
@@ -70,20 +70,20 @@ class FarBus:
 
     def __init__(self, reply: Callable[[], TimeReply | None]) -> None:
         self.reply = reply
-        self.told: list[Message] = []
+        self.published: list[Message] = []
 
     def ask(self, topic_name: str, message: type, timeout_s: float) -> TimeReply | None:
         return self.reply()
 
     def publish(self, topic_name: str, message: Message, **parts: str) -> int:
-        self.told.append(message)
+        self.published.append(message)
         return 0
 
 
 def test_on_one_machine_the_offset_is_nothing_and_known_for_good():
     bus = FarBus(time_reply())
     assert ClockWatch("edge", bus).ask_once()
-    assert bus.told == [ClockReading(process="edge", offset_ns=0, error_ns=0)]
+    assert bus.published == [ClockReading(process="edge", offset_ns=0, error_ns=0)]
 
 
 def test_it_is_published_again_for_a_recorder_that_comes_later(monkeypatch):
@@ -91,9 +91,9 @@ def test_it_is_published_again_for_a_recorder_that_comes_later(monkeypatch):
     bus = FarBus(time_reply())
     watch = ClockWatch("edge", bus)
     watch.start()
-    wait_until(lambda: len(bus.told) >= 3)
+    wait_until(lambda: len(bus.published) >= 3)
     watch.stop()
-    assert {(one.offset_ns, one.error_ns) for one in bus.told} == {(0, 0)}
+    assert {(one.offset_ns, one.error_ns) for one in bus.published} == {(0, 0)}
 
 
 def test_another_machines_clock_is_found(monkeypatch):
@@ -106,7 +106,7 @@ def test_another_machines_clock_is_found(monkeypatch):
 
     bus = FarBus(reply)
     assert not ClockWatch("edge", bus).ask_once()
-    [reading] = bus.told
+    [reading] = bus.published
     assert isinstance(reading, ClockReading)
     assert abs(reading.offset_ns - 10**12) <= reading.error_ns < 10**7
 
@@ -115,7 +115,7 @@ def test_no_answer_tells_nothing(monkeypatch):
     monkeypatch.setattr(clock, "BURST_PERIOD_S", 0.0)
     bus = FarBus(lambda: None)
     assert not ClockWatch("edge", bus).ask_once()
-    assert bus.told == []
+    assert bus.published == []
 
 
 def test_this_machine_has_a_name_that_stays():

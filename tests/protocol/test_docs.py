@@ -1,4 +1,4 @@
-"""The page about the protocol says what the code says."""
+"""The topic table of docs/protocol.md is that of the code."""
 
 import re
 from pathlib import Path
@@ -23,8 +23,8 @@ def test_the_topic_table_of_the_page_is_that_of_the_code():
         for t in TOPICS.values()
     ]
     assert [
-        ((n, key, bool(query), m, bus.lower()), (d, roles(says), roles(hears)))
-        for n, key, query, m, bus, d, says, hears in rows
+        ((n, key, bool(query), m, bus.lower()), (d, roles(publishers), roles(subscribers)))
+        for n, key, query, m, bus, d, publishers, subscribers in rows
     ] == want
 
 

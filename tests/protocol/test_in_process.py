@@ -56,15 +56,19 @@ def test_messages_keep_their_order():
 
 def test_presence_comes_and_goes_and_those_already_there_are_told():
     router = InProcessRouter(BusName.WORLD)
-    (early, heard), (late, heard_late), (comer, _) = access(router), access(router), access(router)
+    (early, received), (late, received_late), (comer, _) = (
+        access(router),
+        access(router),
+        access(router),
+    )
     early.watch()
     comer.announce("vehicle", "vehicle-0")
     late.watch()
     comer.close()
     here = Presence("vehicle", "vehicle-0", True, BusName.WORLD)
     gone = Presence("vehicle", "vehicle-0", False, BusName.WORLD)
-    assert [heard.get(), heard.get()] == [here, gone]
-    assert [heard_late.get(), heard_late.get()] == [here, gone]
+    assert [received.get(), received.get()] == [here, gone]
+    assert [received_late.get(), received_late.get()] == [here, gone]
 
 
 def test_a_closed_bus_hears_no_more():

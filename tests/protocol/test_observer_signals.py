@@ -1,4 +1,4 @@
-"""Who waits for a run that is not there can be told to stop."""
+"""An observer that waits for a run that is not there can be stopped by a signal."""
 
 import signal
 import subprocess
@@ -28,7 +28,7 @@ try:
 except KeyboardInterrupt:
     sys.exit(130)
 """
-AT_ONCE_S = 8.0  # on a machine that has much to do; a signal that is not heeded takes 60
+AT_ONCE_S = 8.0  # on a loaded machine; an ignored signal takes 60
 
 
 @pytest.mark.parametrize("is_up", [False, True])

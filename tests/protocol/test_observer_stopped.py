@@ -1,4 +1,4 @@
-"""Who only looks on may stop, be slow or be gone: nobody waits for it."""
+"""An observer may be stopped, slow or gone: no process waits for it."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox
 from protocol.topics import BusName
 from tests.messages import SCAN
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 pytestmark = pytest.mark.process
 
@@ -51,29 +51,29 @@ def observer(locator: str) -> Iterator[subprocess.Popen[str]]:
 
 def test_a_stopped_observer_holds_up_nobody(locator, request):
     router = open_bus(BusName.V2X, Endpoint(locator, listen=True), Inbox())
-    heard = Inbox()
-    hearer = open_bus(BusName.V2X, Endpoint(locator, listen=False), heard)
-    hearer.subscribe("scan")
+    received = Inbox()
+    receiver = open_bus(BusName.V2X, Endpoint(locator, listen=False), received)
+    receiver.subscribe("scan")
     speaker = open_bus(BusName.V2X, Endpoint(locator, listen=False), Inbox())
     observer = request.getfixturevalue("observer")
     scan = SCAN.model_copy(update={"payload": np.zeros(40_000, np.uint8)})
 
-    def say() -> None:
+    def publish() -> None:
         speaker.publish("scan", scan, region="r0", process="p", agent="rsu-0", chunk="0")
-        assert isinstance(heard.get(PATIENCE_S), Envelope)
+        assert isinstance(received.get(TIMEOUT_S), Envelope)
 
     try:
         os.set_blocking(observer.stdout.fileno(), False)
-        wait_until(lambda: (say(), observer.stdout.readline())[1], ATTEMPTS_S)
+        wait_until(lambda: (publish(), observer.stdout.readline())[1], ATTEMPTS_S)
         observer.send_signal(signal.SIGSTOP)
         slowest_s = 0.0
         for _ in range(MESSAGES):
             before_s = time.monotonic()
-            say()
+            publish()
             slowest_s = max(slowest_s, time.monotonic() - before_s)
         assert slowest_s < 2  # a router that waits does so for 5 s
         observer.send_signal(signal.SIGCONT)
         wait_until(lambda: observer.stdout.readline(), ATTEMPTS_S)
     finally:
-        for bus in (speaker, hearer, router):
+        for bus in (speaker, receiver, router):
             bus.close()

@@ -1,4 +1,4 @@
-"""Whoever floods an inbox is in nobody's way."""
+"""Sender quotas of the inbox: a flooding sender displaces no other's messages."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ SECOND_NS = 1_000_000_000
 
 
 def roster(process: str, frame: int = 1, at_ns: int = 0) -> RawMessage:
-    said = Roster(frame=frame, process=process, agents=[], scanning=[])
+    message = Roster(frame=frame, process=process, agents=[], scanning=[])
     key = TOPICS["roster"].key(region="r0", process=process)
-    return RawMessage(TOPICS["roster"], key, encode(said), at_ns)
+    return RawMessage(TOPICS["roster"], key, encode(message), at_ns)
 
 
 def of(process: str) -> tuple[Topic, str]:
@@ -27,12 +27,12 @@ def of(process: str) -> tuple[Topic, str]:
 
 
 def unsigned(topic: str, at_ns: int = 0, **parts: str) -> RawMessage:
-    """What an inbox takes unread: a message whose key names no process."""
+    """An undecoded message whose key names no process."""
     return RawMessage(TOPICS[topic], TOPICS[topic].key(**parts), b"", at_ns)
 
 
 def pose(process: str, agent: str, at_ns: int = 0) -> RawMessage:
-    said = AgentPose(
+    message = AgentPose(
         frame=1,
         sim_time_ns=1,
         agent=agent,
@@ -44,7 +44,7 @@ def pose(process: str, agent: str, at_ns: int = 0) -> RawMessage:
         position_std_m=0.1,
     )
     key = TOPICS["pose"].key(region="r0", process=process, agent=agent)
-    return RawMessage(TOPICS["pose"], key, encode(said), at_ns)
+    return RawMessage(TOPICS["pose"], key, encode(message), at_ns)
 
 
 def shared(capacity: int = 40, *processes: str, is_paced: bool = False) -> Inbox:
@@ -89,11 +89,11 @@ def test_where_many_flood_at_once_one_more_has_two_thirds_of_an_equal_share(coun
 
 
 def test_strangers_are_slowed_down_without_a_clock_too():
-    inbox, heard = shared(16_384, "good"), 0
+    inbox, received = shared(16_384, "good"), 0
     for number in range(10_000):
         inbox.put(roster(f"invented-{number}", at_ns=SECOND_NS + number * SECOND_NS // 10_000))
-        heard += len(senders(inbox))
-    assert heard < 3 * MIN_QUOTA_PER_S
+        received += len(senders(inbox))
+    assert received < 3 * MIN_QUOTA_PER_S
     inbox.put(roster("good", at_ns=2 * SECOND_NS))
     assert senders(inbox) == ["good"]
 
@@ -148,16 +148,16 @@ def test_a_large_message_takes_a_share_of_the_bytes():
 
 def test_who_sends_too_fast_is_not_heard_until_it_has_made_up_for_it():
     inbox = shared(16_384, "fast", "slow", is_paced=True)
-    now_ns, heard = SECOND_NS, 0
+    now_ns, received = SECOND_NS, 0
     for number in range(20_000):
         now_ns = SECOND_NS + number * SECOND_NS // 10_000
         inbox.put(roster("fast", at_ns=now_ns))
         if number % 1000 == 0:
             inbox.put(roster("slow", at_ns=now_ns))
             came = senders(inbox)
-            heard += came.count("fast")
+            received += came.count("fast")
             assert came.count("slow") == 1
-    assert heard < 3 * MIN_QUOTA_PER_S
+    assert received < 3 * MIN_QUOTA_PER_S
     assert inbox.flooding(now_ns) == {"fast"}
     assert inbox.flooding(now_ns + 2 * SECOND_NS) == set()
     inbox.put(roster("fast", at_ns=now_ns + 2 * SECOND_NS))
@@ -216,4 +216,4 @@ def test_who_shows_itself_late_keeps_what_waits_and_leaves_nothing_behind():
     shares = inbox._quotas
     assert shares is not None
     left = {name: (one.messages, one.size_bytes) for name, one in shares._senders.items()}
-    assert left == {"": (0, 0)}  # that of strangers
+    assert left == {"": (0, 0)}  # that of unknown senders

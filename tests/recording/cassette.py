@@ -1,4 +1,4 @@
-"""Messages as they would be heard, and recordings of them."""
+"""Example messages as a recorder receives them, and recordings of them."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ def writer_in(folder: Path) -> McapWriter:
 
 def same(one: Iterable[Envelope], other: Iterable[Envelope]) -> bool:
     """Whether these are the same messages in the same order."""
-    return [*map(_told, one)] == [*map(_told, other)]
+    return [*map(_fields, one)] == [*map(_fields, other)]
 
 
-def _told(item: Envelope) -> tuple[object, ...]:
+def _fields(item: Envelope) -> tuple[object, ...]:
     return item.topic, item.parts, item.data, item.received_ns
 
 
@@ -57,8 +57,8 @@ _names = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=
 
 
 @st.composite
-def hearings(draw: st.DrawFn, most: int = 30) -> list[Envelope]:
-    """Draws what was heard: any messages at any keys, at times that do not run backwards."""
+def recorded_messages(draw: st.DrawFn, most: int = 30) -> list[Envelope]:
+    """Draws received messages: any at any keys, at times that do not run backwards."""
     drawn = st.tuples(st.sampled_from(sorted(ALL_TOPICS)), st.integers(0, 10**9), _names)
     now_ns, result = 0, []
     for topic, step_ns, name in draw(st.lists(drawn, max_size=most)):

@@ -1,4 +1,4 @@
-"""Short stretches of what a recording holds."""
+"""Messages of short recordings."""
 
 from __future__ import annotations
 
@@ -68,12 +68,12 @@ def bodies(frame: int, tile: tuple[int, int], *ids: str) -> Envelope:
 
 
 def roster(frame: int, agents: list[str], process: str = "vehicle-0") -> Envelope:
-    said = m.Roster(frame=frame, process=process, agents=agents, scanning=agents)
-    return item("roster", said, region=REGION, process=process)
+    recorded = m.Roster(frame=frame, process=process, agents=agents, scanning=agents)
+    return item("roster", recorded, region=REGION, process=process)
 
 
 def pose(frame: int, agent: str, process: str = "vehicle-0", *, cav: bool = True) -> Envelope:
-    said = m.AgentPose(
+    recorded = m.AgentPose(
         frame=frame,
         sim_time_ns=frame * PERIOD_NS,
         agent=agent,
@@ -85,7 +85,7 @@ def pose(frame: int, agent: str, process: str = "vehicle-0", *, cav: bool = True
         position_std_m=0.1,
         arrival_sim_ns=7,
     )
-    return item("pose", said, region=REGION, process=process, agent=agent)
+    return item("pose", recorded, region=REGION, process=process, agent=agent)
 
 
 def scan(
@@ -97,7 +97,7 @@ def scan(
     size: int = 9,
 ) -> Envelope:
     begun_ns = 1_000_000_000 + frame * PERIOD_NS
-    said = m.Scan(
+    recorded = m.Scan(
         frame=frame,
         sim_time_ns=frame * PERIOD_NS,
         agent=agent,
@@ -113,16 +113,16 @@ def scan(
         payload=np.full(size, (100 * chunk + frame) % 256, np.uint8),
     )
     where = {"region": REGION, "process": process, "agent": agent}
-    return item("scan", said, **where, chunk=str(chunk))
+    return item("scan", recorded, **where, chunk=str(chunk))
 
 
 ROADS = no_road("J", [(9, "G")])
 
 
 class Rig:
-    """A player and whoever hears it, on local buses."""
+    """A player role and its subscribers, on in-process buses."""
 
-    def __init__(self, said: list[Envelope], process: str = "vehicle-0", **more: Any) -> None:
+    def __init__(self, recorded: list[Envelope], process: str = "vehicle-0", **more: Any) -> None:
         data = scenarios.load("t_junction", {"replay": {"recording": "none"}, **more})
         setup = m.Setup(
             scenario=resolved(data.model_dump(mode="json"), ROADS),
@@ -133,13 +133,13 @@ class Rig:
             mesh_triangles=np.zeros((0, 3), np.int32),
         )
         self.v2x, self.world = InProcessRouter(), InProcessRouter(BusName.WORLD)
-        self.inbox, self.heard = Inbox(), Inbox()
-        self.ear = self.v2x.bus(self.heard)
-        self.mouth = self.world.bus(self.heard)
+        self.inbox, self.received = Inbox(), Inbox()
+        self.v2x_client = self.v2x.bus(self.received)
+        self.world_client = self.world.bus(self.received)
         for topic in ("roster", "pose", "scan", "objects"):
-            self.ear.subscribe(topic)
+            self.v2x_client.subscribe(topic)
         for topic in ("metrics", "sighting"):
-            self.mouth.subscribe(topic)
+            self.world_client.subscribe(topic)
         context = Context(
             process,
             setup,
@@ -150,27 +150,27 @@ class Rig:
             threading.Event(),
             lambda: self.v2x.bus(self.inbox),
         )
-        self.role = PlayerRole(context, RecordedFrames(said))
+        self.role = PlayerRole(context, RecordedFrames(recorded))
 
     def play(self, frame: int) -> list[Envelope]:
-        """Lets the world tick; returns what the player says."""
-        said = tick(frame)
-        assert isinstance(said.message, m.Tick)
-        self.mouth.publish("tick", said.message)
+        """Lets the world tick; returns what the player publishes."""
+        recorded = tick(frame)
+        assert isinstance(recorded.message, m.Tick)
+        self.world_client.publish("tick", recorded.message)
         return self.turn()
 
     def turn(self) -> list[Envelope]:
         while (come := self.inbox.get()) is not None:
             self.role.on(come)
         self.role.poll()
-        return self.told()
+        return self.published()
 
-    def told(self) -> list[Envelope]:
-        said = []
-        while isinstance(come := self.heard.get(), Envelope):
-            said.append(come)
-        return said
+    def published(self) -> list[Envelope]:
+        recorded = []
+        while isinstance(come := self.received.get(), Envelope):
+            recorded.append(come)
+        return recorded
 
 
-def of(kind: type[Any], said: list[Envelope]) -> list[Any]:
-    return [one.message for one in said if isinstance(one.message, kind)]
+def of(kind: type[Any], recorded: list[Envelope]) -> list[Any]:
+    return [one.message for one in recorded if isinstance(one.message, kind)]

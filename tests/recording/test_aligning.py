@@ -1,4 +1,4 @@
-"""Extrinsics that are refined by what the sensors see."""
+"""Extrinsics that are refined by registration of clouds."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Clouds from elsewhere, from files to detected vehicles."""
+"""Imported scans, from files to detected vehicles."""
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("asked", "error_text"),
     [
         ({"overrides": {"duration_s": 2.0}}, "--set duration_s: with --scans that follows"),
         ({"overrides": {"upload.policy": "reap"}}, "--set upload.policy: .* changes nothing"),
@@ -169,9 +169,9 @@ def test_a_first_cloud_without_a_point_is_refused_and_later_ones_are_counted(tmp
         ({"height_m": 1e8}, r"--height 1e\+08: must be"),
     ],
 )
-def test_what_scans_cannot_be_played_with_is_refused(tmp_path, asked, said):
+def test_what_scans_cannot_be_played_with_is_refused(tmp_path, asked, error_text):
     source = two_agents(tmp_path, "a,5,0,0,2\nb,5,9,0,2\n")
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         replay_of_scans(Scans(source, None, **{"overrides": {}} | asked), Pace(), Console())
 
 

@@ -1,4 +1,4 @@
-"""What other tools see of a converted recording: the same places as the messages say."""
+"""Recordings converted for Foxglove: the same positions as in the messages."""
 
 from __future__ import annotations
 
@@ -97,13 +97,13 @@ def messages_of(frame: int) -> dict[str, m.Message]:
     return {"truth": truth, "pose": pose, "scan": scan(frame), "detections": detections}
 
 
-def heard(topic: str, message: m.Message, received_ns: int) -> Envelope:
+def received(topic: str, message: m.Message, received_ns: int) -> Envelope:
     data = encode(message)
     parts = {part[1:-1]: "a" for part in TOPICS[topic].template.split("/") if "{" in part}
     return Envelope(topic, parts, None, received_ns, data)  # not read yet
 
 
-class Tape:
+class Recording:
     """A recording that is being written, and is then converted."""
 
     def __init__(self, folder: Path) -> None:
@@ -111,9 +111,9 @@ class Tape:
         self.folder = folder / "new"
 
     def take(self, topic: str, message: m.Message, received_ns: int) -> None:
-        self.writer.write(heard(topic, message, received_ns))
+        self.writer.write(received(topic, message, received_ns))
 
-    def hear(self, *frames: int) -> None:
+    def record_frames(self, *frames: int) -> None:
         for frame in frames:
             for n, (topic, message) in enumerate(messages_of(frame).items()):
                 self.take(topic, message, 10**9 * (frame + 1) + n)
@@ -167,9 +167,9 @@ def place_of(pose) -> tuple[float, float, float]:
 
 
 def test_a_cloud_lies_on_the_map_where_its_agent_believes_it(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(3)
-    found = tape.read()
+    recording = Recording(tmp_path)
+    recording.record_frames(3)
+    found = recording.read()
     (cloud,) = found["foxglove/v2x/cloud/a"]
     (tree,) = found["foxglove/v2x/transforms"]
     (step,) = [one for one in tree.transforms if one.child_frame_id == cloud.frame_id]
@@ -182,9 +182,9 @@ def test_a_cloud_lies_on_the_map_where_its_agent_believes_it(tmp_path):
 
 
 def test_boxes_and_poses_are_those_that_were_said(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(0)
-    found = tape.read()
+    recording = Recording(tmp_path)
+    recording.record_frames(0)
+    found = recording.read()
     (update,) = found["foxglove/v2x/detections"]
     (entity,) = update.entities
     sizes = [(cube.size.x, cube.size.y, cube.size.z) for cube in entity.cubes]
@@ -198,20 +198,20 @@ def test_boxes_and_poses_are_those_that_were_said(tmp_path):
 
 
 def test_boxes_of_all_regions_are_together(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(0)
+    recording = Recording(tmp_path)
+    recording.record_frames(0)
     elsewhere = messages_of(0)["detections"].model_copy(update={"boxes": BOXES + np.float32(1)})
-    tape.take("detections", elsewhere, 10**9 + 9)
-    (update,) = tape.read()["foxglove/v2x/detections"]
+    recording.take("detections", elsewhere, 10**9 + 9)
+    (update,) = recording.read()["foxglove/v2x/detections"]
     assert sum(len(entity.cubes) for entity in update.entities) == 2 * len(BOXES)
 
 
 def test_true_vehicles_stand_on_the_ground_and_are_apart(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(0)
-    found = tape.read()
+    recording = Recording(tmp_path)
+    recording.record_frames(0)
+    found = recording.read()
     assert sorted(topic for topic in found if "world" in topic) == ["foxglove/world/truth"]
-    (cube,) = found["foxglove/world/truth"][0].entities[0].cubes  # nobody knows the other's size
+    (cube,) = found["foxglove/world/truth"][0].entities[0].cubes  # the other's size is unknown
     assert place_of(cube.pose) == pytest.approx((10, -4, 0.75))
     assert (cube.size.x, cube.size.y, cube.size.z) == (4.5, 1.8, 1.5)
 
@@ -223,68 +223,68 @@ def test_a_large_cloud_is_thinned():
 
 
 def test_chunks_of_a_scan_are_one_cloud(tmp_path):
-    tape = Tape(tmp_path)
+    recording = Recording(tmp_path)
     for chunk in range(3):
-        tape.take("scan", scan(0, "b", chunk, 3), 10**9)
-    tape.hear(0)
-    found = tape.read()
+        recording.take("scan", scan(0, "b", chunk, 3), 10**9)
+    recording.record_frames(0)
+    found = recording.read()
     assert len(points_of(found["foxglove/v2x/cloud/b"][0])) == 150
 
 
 def test_times_of_all_channels_are_on_one_axis(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(4)
-    (cloud,) = tape.read()["foxglove/v2x/cloud/a"]
-    assert cloud.timestamp.ToNanoseconds() == 5 * 10**9  # when the first of its frame was heard
+    recording = Recording(tmp_path)
+    recording.record_frames(4)
+    (cloud,) = recording.read()["foxglove/v2x/cloud/a"]
+    assert cloud.timestamp.ToNanoseconds() == 5 * 10**9  # when the first of its frame was received
 
 
 def test_the_road_is_drawn_once_in_each_file(tmp_path, monkeypatch):
-    tape = Tape(tmp_path)
-    tape.hear(*range(3))
+    recording = Recording(tmp_path)
+    recording.record_frames(*range(3))
     monkeypatch.setattr(writer, "MAX_CHANNELS", 1)
-    made = tape.convert()
+    made = recording.convert()
     roads = [road for path in made.files for road in decoded(path).get("foxglove/v2x/road", [])]
     assert len(roads) == 3
     assert [(p.x, p.y) for p in roads[0].entities[0].lines[0].points] == [(-50, 0), (0, 0)]
 
 
 def test_clouds_are_those_of_each_nth_frame(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(*range(FRAMES))
-    found = tape.read(cloud_every=4)
+    recording = Recording(tmp_path)
+    recording.record_frames(*range(FRAMES))
+    found = recording.read(cloud_every=4)
     assert len(found["foxglove/v2x/detections"]) == FRAMES
     assert len(found["foxglove/v2x/cloud/a"]) == 2
 
 
 def test_each_frame_is_converted_and_told(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(*range(FRAMES))
-    told: list[int] = []
-    made = tape.convert(tell=told.append)
-    assert (made.frames, told) == (FRAMES, [*range(1, FRAMES + 1)])
+    recording = Recording(tmp_path)
+    recording.record_frames(*range(FRAMES))
+    progress: list[int] = []
+    made = recording.convert(tell=progress.append)
+    assert (made.frames, progress) == (FRAMES, [*range(1, FRAMES + 1)])
     assert made.size_bytes == made.files[0].stat().st_size
 
 
 def test_absurd_frame_numbers_keep_no_frame_from_being_drawn(tmp_path):
-    tape = Tape(tmp_path)
+    recording = Recording(tmp_path)
     for n in range(MAX_OPEN_FRAMES):
-        tape.take("scan", scan(10**9 + n), 1)
-    tape.hear(*range(4))
-    assert len(tape.read()["foxglove/v2x/detections"]) == 4
+        recording.take("scan", scan(10**9 + n), 1)
+    recording.record_frames(*range(4))
+    assert len(recording.read()["foxglove/v2x/detections"]) == 4
 
 
 def test_a_scan_that_does_not_decode_is_left_out(tmp_path):
-    tape = Tape(tmp_path)
+    recording = Recording(tmp_path)
     spoilt = scan(0, "b").model_copy(update={"payload": np.arange(40, dtype=np.uint8)})
-    tape.take("scan", spoilt, 1)
-    tape.hear(0)
-    found = tape.read()
+    recording.take("scan", spoilt, 1)
+    recording.record_frames(0)
+    found = recording.read()
     assert [topic for topic in found if "cloud" in topic] == ["foxglove/v2x/cloud/a"]
 
 
 def spoilt(topic: str, message: m.Message, **fields: object) -> Envelope:
-    """Returns a message that nobody can read beyond its moment."""
-    item = heard(topic, message, 1)
+    """Returns a message of which only the frame time can be decoded."""
+    item = received(topic, message, 1)
     good = item.data[wire.PREFIX.size :]
     header = msgpack.unpackb(good[: wire.PREFIX.unpack_from(item.data)[3]].rstrip(b"\xc0"))
     packed = msgpack.packb(header | fields)
@@ -294,22 +294,22 @@ def spoilt(topic: str, message: m.Message, **fields: object) -> Envelope:
 
 
 def test_what_cannot_be_read_is_left_out_and_ends_no_frame(tmp_path):
-    tape = Tape(tmp_path)
-    said = messages_of(0)
-    tape.writer.write(spoilt("pose", said["pose"], agent="b", length_m=-1))
-    tape.writer.write(spoilt("detections", said["detections"], sources=[]))
-    tape.hear(0)
-    found = tape.read()
+    recording = Recording(tmp_path)
+    messages = messages_of(0)
+    recording.writer.write(spoilt("pose", messages["pose"], agent="b", length_m=-1))
+    recording.writer.write(spoilt("detections", messages["detections"], sources=[]))
+    recording.record_frames(0)
+    found = recording.read()
     assert [topic for topic in found if "pose" in topic] == ["foxglove/v2x/pose/a"]
     assert len(found["foxglove/v2x/detections"]) == 1
 
 
 def test_of_a_tape_that_was_cut_there_is_what_can_be_read(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "CHUNK_BYTES", 1000)
-    tape = Tape(tmp_path)
-    tape.hear(*range(FRAMES))
-    tape.writer.close({})
-    (path,) = tape.writer.files
+    recording = Recording(tmp_path)
+    recording.record_frames(*range(FRAMES))
+    recording.writer.close({})
+    (path,) = recording.writer.files
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 3])
     made = export_foxglove(McapReader(path), lambda: next_file(tmp_path, "new"), 1, print)
@@ -317,24 +317,24 @@ def test_of_a_tape_that_was_cut_there_is_what_can_be_read(tmp_path, monkeypatch)
 
 
 def test_a_translation_is_no_part_of_the_tape_and_itself_translates_to_nothing(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(0)
-    (made,) = tape.convert().files
+    recording = Recording(tmp_path)
+    recording.record_frames(0)
+    (made,) = recording.convert().files
     again = export_foxglove(McapReader(made), lambda: next_file(tmp_path, "newer"), 1, print)
     assert again.frames == 0
 
 
 def test_of_a_translation_that_is_broken_off_nothing_is_left(tmp_path):
-    tape = Tape(tmp_path)
-    tape.hear(*range(FRAMES))
+    recording = Recording(tmp_path)
+    recording.record_frames(*range(FRAMES))
 
     def interrupt(frames: int) -> None:
         if frames == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        tape.convert(tell=interrupt)
-    assert not [*tape.folder.iterdir()]
+        recording.convert(tell=interrupt)
+    assert not [*recording.folder.iterdir()]
 
 
 @given(st.lists(st.floats(-7, 7), min_size=3, max_size=3))

@@ -1,4 +1,4 @@
-"""The ground that scans from elsewhere stand on: slopes, and poses that do not know of them."""
+"""Ground of imported scans: slopes, and poses without them."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ def tilted(roll_deg: float, pitch_deg: float) -> SE3:
 def played(folder: Path, world: SE3, sensor: SE3) -> tuple[list[float], int, str]:
     """Plays what a sensor sees of a turned world; the map's origin is the sensor.
 
-    Returns how far from each car the nearest box is, how many boxes there are, and what was said.
+    Returns how far from each car the nearest box is, how many boxes there are, and what was
+    printed.
     """
     seen = places.seen(world.apply(places.scene(CARS)), sensor)
     places.write_bin(folder / "drive" / "0.bin", seen)
     (folder / "poses.txt").write_text(" ".join(f"{number:.6f}" for number in sensor.as_pose()))
-    said = Console(record=True, width=300)
+    console = Console(record=True, width=300)
     source = Source(folder / "drive", folder / "poses.txt")
-    made = replay_of_scans(Scans(source, None, {}, frames=2), Pace(), said)
+    made = replay_of_scans(Scans(source, None, {}, frames=2), Pace(), console)
     run_dir = folder / "run"
     run_dir.mkdir()
     run_setup_in_process(made.setup(run_dir), run_dir)
@@ -46,7 +47,7 @@ def played(folder: Path, world: SE3, sensor: SE3) -> tuple[list[float], int, str
         found = [(row.x_m, row.y_m) for row in run.of_frame(DetectionRow, 1)]
     cars = world.apply(FOOT)[:, :2] - sensor.translation[:2]
     near = [float(np.hypot(*(np.array(found).reshape(-1, 2) - car).T).min()) for car in cars]
-    return near, len(found), said.export_text()
+    return near, len(found), console.export_text()
 
 
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0, 0), (3, 0), (0, -3), (6, 0), (4, 4.5)])
@@ -58,13 +59,13 @@ def test_a_scan_on_a_slope_shows_the_vehicles_that_a_level_one_shows(
     sensor = world @ SE3.from_pose([0, 0, 2.0, 0, 0, 0])
     if stands == "upright":
         sensor = SE3(np.eye(3), sensor.translation)
-    near, boxes, said = played(tmp_path, world, sensor)
+    near, boxes, printed = played(tmp_path, world, sensor)
     assert max(near) < 0.7
     assert boxes <= len(CARS) + 3  # the agent itself, and what is left of walls
-    assert float(said.split("slopes up to ")[1].split()[0]) == pytest.approx(
+    assert float(printed.split("slopes up to ")[1].split()[0]) == pytest.approx(
         np.degrees(np.arccos(world.rotation[2, 2])), abs=0.5
     )
-    assert "badly" not in said
+    assert "badly" not in printed
 
 
 def test_where_poses_contradict_one_another_the_ground_fits_badly() -> None:

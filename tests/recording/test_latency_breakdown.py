@@ -1,4 +1,4 @@
-"""The latency account: stages follow one another and sum to the end-to-end time."""
+"""Latency breakdown: stages follow one another and sum to the end-to-end time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def arrival(agent: str, chunk: int, at_ms: float) -> Arrival:
     )
 
 
-def evidence(link_ms: Mapping[str, float] | None = None) -> FrameTimings:
+def timings(link_ms: Mapping[str, float] | None = None) -> FrameTimings:
     """Two agents: a sends two chunks, b one; the edge is ready at 40 ms, the cabinet at 60.
 
     On a virtual link a's second chunk comes 3 ms after its first.
@@ -86,7 +86,7 @@ def in_ms(row: LatencyRow) -> dict[str, float]:
 
 
 def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
-    a, b = evidence().latencies(7, {})
+    a, b = timings().latencies(7, {})
     assert (a.frame, a.agent, b.agent) == (7, "a", "b")
     assert in_ms(a) == {
         "sense": 4, "select": 1, "encode": 4, "send": 2, "link": 12, "decode": 2, "place": 1,
@@ -98,7 +98,7 @@ def test_the_stages_of_a_frame_sum_to_its_end_to_end_time() -> None:
 
 
 def test_time_in_which_two_chunks_of_an_agent_were_opened_counts_once() -> None:
-    made = evidence()
+    made = timings()
     for chunk in (0, 1):
         made.arrivals["a", chunk] = arrival("a", chunk, 20)
     others = [s for s in made.edge if s.agent != "a"]
@@ -115,14 +115,14 @@ def test_time_in_which_two_chunks_of_an_agent_were_opened_counts_once() -> None:
 
 
 def test_only_what_was_used_counts() -> None:
-    made = evidence()
+    made = timings()
     del made.arrivals["a", 1], made.arrivals["b", 0]
     (row,) = made.latencies(1, {})
     assert (row.agent, in_ms(row)["link"], in_ms(row)["encode"]) == ("a", 11, 2)
 
 
 def test_without_the_cabinets_word_there_is_no_account_yet() -> None:
-    made = evidence()
+    made = timings()
     made.actuations.clear()
     assert made.latencies(1, {}) == []
     assert made.unused_end_to_end_ns({}, 5) is None
@@ -131,7 +131,7 @@ def test_without_the_cabinets_word_there_is_no_account_yet() -> None:
 @settings(deadline=None)
 @given(st.integers(-(10**15), 10**15), st.integers(-(10**15), 10**15), st.integers(0, 10**6))
 def test_clocks_of_other_machines_are_aligned_and_their_error_is_kept(vehicle, edge, error) -> None:
-    there = evidence()
+    there = timings()
     held = [*((spans, vehicle) for spans in there.agents.values()), (there.edge, edge)]
     for spans, offset in held:
         shift = {"start_ns": -offset, "end_ns": -offset}
@@ -146,12 +146,12 @@ def test_clocks_of_other_machines_are_aligned_and_their_error_is_kept(vehicle, e
         moved = {"received_ns": came.received_ns - edge, "decoded_ns": came.decoded_ns - edge}
         there.arrivals[key] = came.model_copy(update=moved)
     clocks = {"vehicle-0": (vehicle, error), "vehicle-1": (vehicle, error), "edge-r0": (edge, 7)}
-    expected = [row._replace(clock_error_ns=error + 7) for row in evidence().latencies(1, {})]
+    expected = [row._replace(clock_error_ns=error + 7) for row in timings().latencies(1, {})]
     assert there.latencies(1, clocks) == expected
 
 
 def test_an_arrival_before_the_call_returned_leaves_no_negative_link() -> None:
-    made = evidence()
+    made = timings()
     made.arrivals["b", 0] = arrival("b", 0, 8.75)
     b = made.latencies(1, {})[1]
     assert (in_ms(b)["send"], in_ms(b)["link"]) == (0.75, 0)
@@ -159,7 +159,7 @@ def test_an_arrival_before_the_call_returned_leaves_no_negative_link() -> None:
 
 
 def test_over_virtual_links_each_agents_time_is_laid_end_to_end() -> None:
-    a, b = evidence({"a": 30, "b": 70}).latencies(1, {})
+    a, b = timings({"a": 30, "b": 70}).latencies(1, {})
     assert in_ms(a)["link"] == 30  # the second chunk was computed while the first was under way
     assert in_ms(b)["link"] == 70
     assert in_ms(b)["wait"] == 0
@@ -171,7 +171,7 @@ def test_over_virtual_links_each_agents_time_is_laid_end_to_end() -> None:
 
 
 def test_a_virtual_frame_that_missed_something_took_until_the_deadline() -> None:
-    made = evidence({"a": 30, "b": 70})
+    made = timings({"a": 30, "b": 70})
     del made.arrivals["b", 0]
     made.complete, made.delay_sim_ns = False, 80 * MS
     (a,) = made.latencies(1, {})
@@ -184,13 +184,13 @@ def test_a_virtual_frame_that_missed_something_took_until_the_deadline() -> None
 
 @pytest.mark.parametrize("start_ms", [-70_000, 61])
 def test_what_took_more_than_a_minute_or_less_than_nothing_is_left_out(start_ms) -> None:
-    made = evidence()
+    made = timings()
     for key, sent in made.uploads.items():
         made.uploads[key] = sent.model_copy(update={"sense_start_ns": start_ms * MS})
     assert made.latencies(1, {}) == []
 
 
 def test_a_link_that_is_free_before_the_next_chunk_is_ready_waits_for_it() -> None:
-    made = evidence({"a": 1, "b": 1})
+    made = timings({"a": 1, "b": 1})
     (a, _) = made.latencies(1, {})
     assert in_ms(a)["link"] == 4  # nothing was queued before it

@@ -1,4 +1,4 @@
-"""A recording that was cut off or damaged gives all that is whole, and nothing else."""
+"""A truncated or damaged recording yields all that is intact, and nothing else."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 
 TOPICS = ["tick", "scan", "detections", "lanes", "state", "request"]
-HEARD = [envelope(topic, 1000 * n + k) for n in range(8) for k, topic in enumerate(TOPICS)]
+MESSAGES = [envelope(topic, 1000 * n + k) for n in range(8) for k, topic in enumerate(TOPICS)]
 
 
 def written() -> bytes:
     """Returns a recording of eight chunks."""
     with TemporaryDirectory() as folder:
         writer = writer_in(Path(folder))
-        for n, item in enumerate(HEARD):
+        for n, item in enumerate(MESSAGES):
             writer.write(item)
             if n % len(TOPICS) == len(TOPICS) - 1:
                 writer.settle(10**12 + item.received_ns)
@@ -76,7 +76,7 @@ def check_cut(at: int) -> None:
             read(WHOLE[:at])
         return
     recording, found = read(WHOLE[:at])
-    assert same(found, HEARD[: sum(held for end, held in CHUNKS if end <= at)])
+    assert same(found, MESSAGES[: sum(held for end, held in CHUNKS if end <= at)])
     assert recording.is_whole == (at == len(WHOLE))
     assert recording.drops.total() == 0
     assert encode(recording.setup) == encode(setup())
@@ -100,7 +100,7 @@ def test_a_file_that_had_no_time_to_begin_is_passed_over(tmp_path):
     for number, data in enumerate([b"", WHOLE, WHOLE[:5], WHOLE[: SETUP_END - 1], WHOLE], 1):
         (tmp_path / f"run-{number}.mcap").write_bytes(data)
     recording = McapReader(tmp_path)
-    assert same(recording.messages(), HEARD + HEARD)
+    assert same(recording.messages(), MESSAGES + MESSAGES)
     assert encode(recording.setup) == encode(setup())
     assert not recording.is_whole
 
@@ -109,7 +109,7 @@ def test_a_damaged_chunk_alone_is_left_out():
     end = CHUNKS[3][0]
     recording, found = read(WHOLE[: end - 20] + bytes(20) + WHOLE[end:])
     lost = slice(3 * len(TOPICS), 4 * len(TOPICS))
-    assert same(found, [item for item in HEARD if item not in HEARD[lost]])
+    assert same(found, [item for item in MESSAGES if item not in MESSAGES[lost]])
     assert recording.drops == {"damaged": 1}
     assert not recording.is_whole
 
@@ -144,7 +144,7 @@ def test_changed_bytes_never_give_what_was_not_heard(changes):
         _, found = read(bytes(data))
     except ConfigError:
         return
-    known = [item.data for item in HEARD]
+    known = [item.data for item in MESSAGES]
     assert all(item.data in known for item in found)
 
 
@@ -182,7 +182,7 @@ def test_a_bomb_takes_no_memory(name):
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert same(found[: len(TOPICS)], HEARD[: len(TOPICS)])
+    assert same(found[: len(TOPICS)], MESSAGES[: len(TOPICS)])
     assert not recording.is_whole or recording.drops
     assert most < 80 << 20
 

@@ -1,4 +1,4 @@
-"""The MCAP recorder as a whole: what it is asked for, what it records, when it ends."""
+"""The MCAP recorder as a whole: its subscriptions, what it records, when it ends."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def stay_nice(monkeypatch):
 
 
 def context_in(folder, record) -> Context:
-    """Returns what a recording's process is handed, on buses of this process."""
+    """Returns the context of a recorder, on in-process buses."""
     asked = setup()
     scenario = {
         "name": "n",
@@ -52,7 +52,7 @@ def context_in(folder, record) -> Context:
     return Context("mcap", made, folder, world, v2x, inbox, stop, lambda: v2x)
 
 
-def said(context, topic: str) -> None:
+def publish(context, topic: str) -> None:
     bus = context.world if TOPICS[topic].bus is BusName.WORLD else context.v2x
     item = envelope(topic, 0)
     bus.deliver(topic, item.data, **item.parts | {"region": "r0"})
@@ -63,8 +63,8 @@ def test_all_topics_of_both_buses_are_kept_but_truth_that_nobody_wants(tmp_path,
     context = context_in(tmp_path, {"mcap": True, "truth": truth})
     writing = recorder.build(context)
     for topic in sorted(ALL_TOPICS - {"end"}):
-        said(context, topic)
-    said(context, "end")
+        publish(context, topic)
+    publish(context, "end")
     loop(writing, context.inbox, context.stop)  # until it is over
     writing.close()
     recording = McapReader(tmp_path)
@@ -113,7 +113,7 @@ def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
     odd = good[:24] + b"\xc1" + good[25:]  # no msgpack
     for data in (b"junk", good[:-8], odd, good):
         context.v2x.deliver("detections", data, region="r0")
-    said(context, "end")
+    publish(context, "end")
     loop(writing, context.inbox, context.stop)
     writing.close()
     recording = McapReader(tmp_path)

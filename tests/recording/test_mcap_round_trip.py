@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from cassette import envelope, hearings, same, setup, writer_in
+from cassette import envelope, recorded_messages, same, setup, writer_in
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
@@ -26,17 +26,17 @@ pytest.importorskip("mcap", reason="needs the extra `mcap`")
 
 
 @settings(max_examples=50)
-@given(hearings(), st.sets(st.sampled_from(sorted(ALL_TOPICS))))
-def test_all_that_was_heard_comes_back_as_it_came(heard, wanted):
+@given(recorded_messages(), st.sets(st.sampled_from(sorted(ALL_TOPICS))))
+def test_all_that_was_heard_comes_back_as_it_came(recorded, wanted):
     with TemporaryDirectory() as folder:
         writer = writer_in(Path(folder))
-        for item in heard:
+        for item in recorded:
             writer.write(item)
             writer.settle(item.received_ns)
         writer.close({})
         recording = McapReader(Path(folder))
-        assert same(recording.messages(), heard)
-        assert same(recording.messages(wanted), [item for item in heard if item.topic in wanted])
+        assert same(recording.messages(), recorded)
+        assert same(recording.messages(wanted), [item for item in recorded if item.topic in wanted])
         assert encode(recording.setup) == encode(setup())
         assert (recording.is_whole, recording.drops.total()) == (True, 0)
         assert recording.facts == {"name": "a test"}
@@ -54,16 +54,16 @@ def test_a_tape_that_could_not_go_on_says_why_and_can_be_closed(tmp_path, monkey
 
 
 def test_other_readers_find_their_way(tmp_path):
-    heard = [envelope(topic, 100 + n) for n, topic in enumerate(sorted(ALL_TOPICS))]
+    recorded = [envelope(topic, 100 + n) for n, topic in enumerate(sorted(ALL_TOPICS))]
     writer = writer_in(tmp_path)
-    for item in heard:
+    for item in recorded:
         writer.write(item)
     writer.close({"drops": "{}"})
     with (tmp_path / "run.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         assert summary is not None
-        assert len(summary.channels) == summary.statistics.message_count == len(heard)
+        assert len(summary.channels) == summary.statistics.message_count == len(recorded)
         assert [index.compression for index in summary.chunk_indexes] == ["zstd"]
         assert [one.name for one in reader.iter_attachments()] == ["setup.msgpack"]
         assert [one.name for one in reader.iter_metadata()] == ["cpnet", "cpnet.closing"]
@@ -138,9 +138,9 @@ def test_a_tape_that_is_started_again_leaves_the_first_alone(tmp_path):
 
 def test_a_long_tape_goes_on_in_another_file(tmp_path, monkeypatch):
     monkeypatch.setattr(writer_module, "MAX_CHANNELS", 3)
-    heard = [envelope("pose", n, f"agent {n % 7}") for n in range(40)]
+    recorded = [envelope("pose", n, f"agent {n % 7}") for n in range(40)]
     writer = writer_in(tmp_path)
-    for item in heard:
+    for item in recorded:
         writer.write(item)
         writer.settle(0)
     writer.close({})
@@ -149,8 +149,8 @@ def test_a_long_tape_goes_on_in_another_file(tmp_path, monkeypatch):
     assert writer.size_bytes == sum(path.stat().st_size for path in writer.files)
     recording = McapReader(tmp_path)
     assert recording.is_whole
-    assert same(recording.messages(), heard)
-    assert same(McapReader(writer.files[0]).messages(), heard)
+    assert same(recording.messages(), recorded)
+    assert same(McapReader(writer.files[0]).messages(), recorded)
     writer_in(tmp_path).close({})  # another recording
     assert McapReader(writer.files[0]).files == writer.files
     for path in writer.files:  # each can be opened alone

@@ -78,14 +78,14 @@ def test_real_clouds_with_poses_that_are_off_are_found_and_moved_back(tmp_path: 
 
 def test_a_replay_says_who_is_off_and_moves_it_if_asked(tmp_path: Path) -> None:
     source = written(tmp_path, "abc", b=(1.2, -0.9, 0, 0))
-    said = Console(record=True, width=400)
-    replay_of_scans(Scans(source, None, {}), Pace(), said)
-    text = said.export_text()
+    console = Console(record=True, width=400)
+    replay_of_scans(Scans(source, None, {}), Pace(), console)
+    text = console.export_text()
     (off_m,) = re.findall(r"agent b: what it sees lies ([\d.]+) m", text)
     assert float(off_m) == pytest.approx(1.5, abs=0.05)
     assert "--align does it" in text
-    replay_of_scans(Scans(source, None, {}, align=True), Pace(), said)
-    assert "they are" in said.export_text()
+    replay_of_scans(Scans(source, None, {}, align=True), Pace(), console)
+    assert "they are" in console.export_text()
 
 
 def test_agents_that_see_nothing_together_are_left_alone(tmp_path: Path) -> None:

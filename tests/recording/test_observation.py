@@ -1,4 +1,4 @@
-"""What is known of junctions and regions while a run goes on."""
+"""Current state of junctions and regions while a run goes on."""
 
 import pytest
 
@@ -80,10 +80,10 @@ def test_progress_tells_of_regions_and_junctions(observed: Observation) -> None:
     tracker = ProgressTracker(100 * MS, observed)
     observed.take(counts(1, "K"))
     tracker.detected("west", 7)
-    told = tracker.report(0, 0)
-    assert (told.regions["west"].agents, told.regions["west"].detections) == (1, 7)
-    assert (told.junctions["K"].region, told.junctions["K"].queued) == ("west", 3)
-    assert [*told.junctions] == ["J", "K", "L"]
+    progress = tracker.report(0, 0)
+    assert (progress.regions["west"].agents, progress.regions["west"].detections) == (1, 7)
+    assert (progress.junctions["K"].region, progress.junctions["K"].queued) == ("west", 3)
+    assert [*progress.junctions] == ["J", "K", "L"]
 
 
 def test_progress_of_a_large_city_fits_into_its_message() -> None:
@@ -94,6 +94,6 @@ def test_progress_of_a_large_city_fits_into_its_message() -> None:
     tracker = ProgressTracker(100 * MS, observed)
     for n in range(MAX_PROGRESS_AGENTS):
         tracker.payload_bytes[f"{n:032d}"] = 1000
-    told = tracker.report(0, 0)
-    assert len(told.junctions) == MAX_PROGRESS_JUNCTIONS
-    assert wire.decode(wire.encode(told), m.Progress) == told
+    progress = tracker.report(0, 0)
+    assert len(progress.junctions) == MAX_PROGRESS_JUNCTIONS
+    assert wire.decode(wire.encode(progress), m.Progress) == progress

@@ -94,7 +94,7 @@ def test_a_table_may_name_agents_and_times(written):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "said"),
+    ("name", "text", "error_text"),
     [
         ("p.csv", "x_m,y_m\n1,2\n", r"p\.csv: line 1: lacks the column z_m"),
         ("p.csv", "x_m,y_m,z_m,zz\n", r"line 1: unknown column 'zz'; allowed: x_m, y_m"),
@@ -117,8 +117,8 @@ def test_a_table_may_name_agents_and_times(written):
         ("p.txt", "# nothing\n", r"line 1: there is no pose"),
     ],
 )
-def test_what_is_wrong_is_said_with_file_and_line(written, name, text, said):
-    with pytest.raises(ConfigError, match=said):
+def test_what_is_wrong_is_said_with_file_and_line(written, name, text, error_text):
+    with pytest.raises(ConfigError, match=error_text):
         read_poses(written(text, name))
 
 
@@ -155,7 +155,7 @@ def test_opencalibs_devices_get_the_names_that_are_told(written):
 
 
 @pytest.mark.parametrize(
-    ("text", "names", "said"),
+    ("text", "names", "error_text"),
     [
         (OPENCALIB, ["top"], r"e\.txt: line 4: device '1' has no name: give --sensors"),
         (OPENCALIB, ["a", "b", "c"], r"has 2 devices, --sensors names 3"),
@@ -163,8 +163,8 @@ def test_opencalibs_devices_get_the_names_that_are_told(written):
         ("(Roll,Pitch,Yaw,tx,ty,tz): 0 0 0 0 0 0\n", ["a"], r"line 1: needs six numbers, once"),
     ],
 )
-def test_what_is_wrong_with_extrinsics_is_said(written, text, names, said):
-    with pytest.raises(ConfigError, match=said):
+def test_what_is_wrong_with_extrinsics_is_said(written, text, names, error_text):
+    with pytest.raises(ConfigError, match=error_text):
         read_extrinsics(written(text, "e.txt"), names)
 
 

@@ -55,7 +55,7 @@ def setup_message(**record: object) -> m.Setup:
 
 
 class Rig:
-    """A record role on local buses, and the others' mouths."""
+    """A record role on in-process buses, and the publishers of other processes."""
 
     def __init__(self, run_dir: Path, **record: object) -> None:
         world, v2x = InProcessRouter(BusName.WORLD), InProcessRouter()
@@ -231,7 +231,7 @@ def test_contradictory_messages_are_counted_and_dropped(rig: Rig, tmp_path: Path
     rig.world.publish("trips", m.Trips(frame=0, trips=[
         m.Trip(vehicle="y", equipment=0, depart_s=0, arrive_s=None, time_loss_s=1.0),
     ]))  # fmt: skip
-    for _ in range(3):  # a message that cannot be read looks like the end of what came
+    for _ in range(3):  # an undecodable message looks like the end of the queue
         rig.drain()
     rig.role.poll()
     rig.role._commit(time.monotonic_ns())
@@ -273,7 +273,7 @@ def test_after_a_world_that_stopped_early_the_last_frame_is_not_waited_for(rig: 
 
 def test_progress_is_told_about_once_a_second(rig: Rig) -> None:
     rig.seen.get()
-    rig.role._told_ns = time.monotonic_ns() + 600_000 * MS  # not before all is heard
+    rig.role._told_ns = time.monotonic_ns() + 600_000 * MS  # not before all is received
     for frame in range(11):
         rig.frame(frame)
     rig.drain()

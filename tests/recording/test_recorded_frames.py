@@ -15,10 +15,10 @@ pytest.importorskip("mcap", reason="needs the extra `mcap`")
 def test_all_of_a_frame_comes_together_however_it_was_mixed(first, count, random):
     frames = range(first, first + count)
     late = {frame: random.randrange(MAX_FRAMES_AHEAD // 2) for frame in frames}
-    heard = [(frame, state(frame)) for frame in frames]
-    heard += [(frame + late[frame], scan(frame, "a")) for frame in frames]
-    heard.sort(key=lambda pair: pair[0])
-    recording = RecordedFrames(message for _, message in heard)
+    messages = [(frame, state(frame)) for frame in frames]
+    messages += [(frame + late[frame], scan(frame, "a")) for frame in frames]
+    messages.sort(key=lambda pair: pair[0])
+    recording = RecordedFrames(message for _, message in messages)
     assert recording.first("state") == first
     for frame in frames:
         assert sorted(item.topic for item in recording.take(frame)) == ["scan", "state"]
@@ -27,16 +27,16 @@ def test_all_of_a_frame_comes_together_however_it_was_mixed(first, count, random
 
 
 def test_what_comes_too_late_is_counted_and_what_was_passed_by_is_forgotten():
-    heard = [state(frame) for frame in range(200)] + [scan(3, "a")]
-    recording = RecordedFrames(heard)
+    messages = [state(frame) for frame in range(200)] + [scan(3, "a")]
+    recording = RecordedFrames(messages)
     assert all(recording.take(frame) for frame in range(200))
     assert recording.take(50) == []
     assert recording.late == 1
 
 
 def test_a_frame_that_cannot_be_does_not_pass_for_the_present():
-    heard = [state(0), roster(1 << 39, ["liar"]), *(state(frame) for frame in range(1, 200))]
-    recording = RecordedFrames(heard)
+    messages = [state(0), roster(1 << 39, ["liar"]), *(state(frame) for frame in range(1, 200))]
+    recording = RecordedFrames(messages)
     assert [len(recording.take(frame)) for frame in range(200)] == [1] * 200
     assert recording.absurd == 1
 
@@ -44,16 +44,16 @@ def test_a_frame_that_cannot_be_does_not_pass_for_the_present():
 def test_of_a_long_tape_only_what_is_near_is_read():
     read = []
 
-    def heard():
+    def messages():
         for frame in range(10_000):
             read.append(frame)
             yield state(frame)
 
-    RecordedFrames(heard()).take(100)
+    RecordedFrames(messages()).take(100)
     assert len(read) <= 100 + MAX_FRAMES_AHEAD + 2
 
 
 def test_a_tape_that_begins_in_mid_frame_begins_with_the_first_whole_one():
-    heard = [scan(499, "a"), tick(500), state(500), roster(500, ["a"]), state(501), tick(501)]
-    assert RecordedFrames(heard).first("tick", "state") == 500
+    messages = [scan(499, "a"), tick(500), state(500), roster(500, ["a"]), state(501), tick(501)]
+    assert RecordedFrames(messages).first("tick", "state") == 500
     assert RecordedFrames([]).first("tick") is None

@@ -15,8 +15,8 @@ pytest.importorskip("mcap", reason="needs the extra `mcap`")
 STEP_NS = 50_000_000
 
 
-def world_of(heard, warmup_ns: int = 0) -> RecordedWorld:
-    return RecordedWorld(RecordedFrames(heard), step_ns=STEP_NS, steps=2, warmup_ns=warmup_ns)
+def world_of(messages, warmup_ns: int = 0) -> RecordedWorld:
+    return RecordedWorld(RecordedFrames(messages), step_ns=STEP_NS, steps=2, warmup_ns=warmup_ns)
 
 
 def trips(frame: int, *names: str):
@@ -29,7 +29,7 @@ def trips(frame: int, *names: str):
 
 def truth(frame: int, *names: str):
     count = len(names)
-    said = Truth(
+    message = Truth(
         frame=frame,
         sim_time_ns=frame * 2 * STEP_NS,
         ids=[*names],
@@ -40,7 +40,7 @@ def truth(frame: int, *names: str):
         lane_positions_m=np.ones(count, np.float32),
         equipment=np.zeros(count, np.uint8),
     )
-    return item("truth", said)
+    return item("truth", message)
 
 
 @pytest.mark.parametrize("warmup_ns", [0, 20 * STEP_NS, 20 * STEP_NS - 1])

@@ -1,4 +1,4 @@
-"""Limits on what others may send stand in one table, each with its reason."""
+"""Limits on received data stand in one table, each with its reason."""
 
 import re
 from pathlib import Path

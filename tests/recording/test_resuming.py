@@ -1,4 +1,4 @@
-"""A recording that broke off is gone on with, and what was missed is noted."""
+"""An interrupted recording is resumed, and the gap is recorded."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_recording_of_the_same_scenario_is_gone_on_with(tmp_path: Path) -> Non
     break_off(tmp_path)
     database = Database(tmp_path, "{}")
     assert (database.last_frame, database.last_whole) == (41, 40)
-    assert database.last_tick == (39, 3_900_000_000)  # of the later ones no tick was heard
+    assert database.last_tick == (39, 3_900_000_000)  # of the later ones no tick was received
     assert database.known_drops() == [DropRow("edge", "late", 3)]
     database.add(FrameRow, [frame_row(50)])
     database.close()

@@ -40,7 +40,7 @@ def test_sensors_are_told_by_names_of_files_or_folders(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("files", "said"),
+    ("files", "error_text"),
     [
         (
             ["top.pcd", "topmost.pcd", "left.pcd"],
@@ -50,7 +50,7 @@ def test_sensors_are_told_by_names_of_files_or_folders(tmp_path):
         (["top.pcd"], r"not equally many files \(top: 1, left: 0\)"),
     ],
 )
-def test_what_does_not_fit_is_said(tmp_path, files, said):
+def test_what_does_not_fit_is_said(tmp_path, files, error_text):
     touch(tmp_path, *files)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         sensors_in(tmp_path, ["top", "left"])

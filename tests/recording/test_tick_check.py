@@ -9,12 +9,12 @@ PERIOD_NS = 100
 
 
 def followed(*ticks: tuple[int, int]) -> list[int]:
-    """Returns the frames at which the pulse stands after each tick."""
-    pulse, frames = TickCheck(PERIOD_NS), []
+    """Returns the accepted frame after each tick."""
+    check, frames = TickCheck(PERIOD_NS), []
     for frame, sim_time_ns in ticks:
         with suppress(MessageError):
-            pulse.take(frame, sim_time_ns)
-        frames.append(pulse.frame)
+            check.take(frame, sim_time_ns)
+        frames.append(check.frame)
     return frames
 
 

@@ -1,4 +1,4 @@
-"""Every place of the scene is somebody's, and at the plain borders one agent's alone."""
+"""Every place of the scene has an owner, and at the plain borders exactly one."""
 
 from __future__ import annotations
 

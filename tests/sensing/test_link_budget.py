@@ -1,4 +1,4 @@
-"""Who starts a run whose scans cannot arrive in time is told, with the numbers."""
+"""A run whose scans cannot arrive in time gives a warning, with the numbers."""
 
 from typing import Any
 

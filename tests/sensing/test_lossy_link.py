@@ -1,4 +1,4 @@
-"""Packets are lost as the profile says, and TCP's repairs delay what lies behind them."""
+"""Packets are lost as in the profile, and TCP's retransmissions delay the packets behind them."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""What an agent still sends when its uplink is slow, and what it leaves."""
+"""The outbox: which chunks an agent sends, and which it drops, when its uplink is slow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from protocol.errors import BusError
 from sensing import uplink as module
 from sensing.uplink import Outbox
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 
 class Parcel:
@@ -54,7 +54,7 @@ class Gate:
     def __call__(self, chunk: int) -> None:
         if chunk == self.at:
             self.reached.set()
-            assert self.opened.wait(PATIENCE_S)
+            assert self.opened.wait(TIMEOUT_S)
 
 
 def test_a_fast_uplink_takes_all_chunks_in_their_order(outbox: Outbox) -> None:
@@ -69,7 +69,7 @@ def test_a_newer_frame_takes_the_place_of_the_rest_of_an_older_one(outbox: Outbo
     gate = Gate(1)
     old, newer, newest = Parcel(0, gate), Parcel(1, passes), Parcel(2, passes)
     outbox.put(old)
-    assert gate.reached.wait(PATIENCE_S)
+    assert gate.reached.wait(TIMEOUT_S)
     outbox.put(newer)
     outbox.put(newest)
     gate.opened.set()
@@ -85,7 +85,7 @@ def test_no_more_chunks_go_out_when_the_edge_has_enough(outbox: Outbox) -> None:
     gate = Gate(1)
     parcel = Parcel(5, gate)
     outbox.put(parcel)
-    assert gate.reached.wait(PATIENCE_S)
+    assert gate.reached.wait(TIMEOUT_S)
     outbox.receive(enough=5, mbps=0.0)
     gate.opened.set()
     assert done(outbox) == [5]
@@ -124,7 +124,7 @@ def test_a_flood_of_one_agent_is_in_nobody_elses_way(outbox: Outbox) -> None:
     other, gate = Outbox("b"), Gate(0)
     try:
         outbox.put(Parcel(0, gate))
-        assert gate.reached.wait(PATIENCE_S)
+        assert gate.reached.wait(TIMEOUT_S)
         for frame in range(50):
             outbox.put(Parcel(frame, passes))
         other.put(Parcel(0, passes))
@@ -140,6 +140,6 @@ def test_what_fails_in_the_thread_is_raised_at_the_next_frame(outbox: Outbox) ->
         raise BusError("gone")
 
     outbox.put(Parcel(0, breaks))
-    outbox._thread.join(PATIENCE_S)
+    outbox._thread.join(TIMEOUT_S)
     with pytest.raises(BusError, match="gone"):
         outbox.put(Parcel(1, passes))

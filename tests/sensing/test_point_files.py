@@ -71,7 +71,7 @@ def test_rows_of_five_are_nuscenes_by_their_name_or_by_their_rings(tmp_path, nam
 
 
 @pytest.mark.parametrize(
-    ("name", "rows", "said"),
+    ("name", "rows", "error_text"),
     [
         ("a.pcd.bin", np.ones((4, 4)), "64 bytes are no rows of five float32"),
         ("a.pcd.bin", np.full((4, 5), 0.5), "the last of five float32 in a row must be a ring"),
@@ -79,9 +79,9 @@ def test_rows_of_five_are_nuscenes_by_their_name_or_by_their_rings(tmp_path, nam
         ("a.bin", np.ones((1, 3)), "12 bytes are neither KITTI's rows"),
     ],
 )
-def test_rows_that_are_of_neither_kind_are_refused(tmp_path, name, rows, said):
+def test_rows_that_are_of_neither_kind_are_refused(tmp_path, name, rows, error_text):
     (tmp_path / name).write_bytes(rows.astype("<f4").tobytes())
-    with pytest.raises(ConfigError, match=rf"{name}: .*{said}|{name}: {said}"):
+    with pytest.raises(ConfigError, match=rf"{name}: .*{error_text}|{name}: {error_text}"):
         read_points(tmp_path / name)
 
 
@@ -112,7 +112,7 @@ def test_vertices_of_a_ply_are_points(tmp_path, kind):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "error_text"),
     [
         ("ply\nformat ascii 1.0\n", "no header of a .ply"),
         ("ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n", "lacks"),
@@ -128,9 +128,9 @@ def test_vertices_of_a_ply_are_points(tmp_path, kind):
         ),
     ],
 )
-def test_a_ply_that_is_not_what_it_says_is_refused(tmp_path, text, said):
+def test_a_ply_that_is_not_what_it_says_is_refused(tmp_path, text, error_text):
     (tmp_path / "a.ply").write_text(text)
-    with pytest.raises(ConfigError, match=f"a.ply: .*{said}"):
+    with pytest.raises(ConfigError, match=f"a.ply: .*{error_text}"):
         read_points(tmp_path / "a.ply")
 
 
@@ -161,9 +161,9 @@ def test_a_table_of_argoverse_and_an_array_are_points(tmp_path):
 
 
 def test_an_array_that_is_no_cloud_is_refused(tmp_path):
-    for array, said in ((np.ones((3, 2)), "an array"), (np.ones(3), "an array")):
+    for array, error_text in ((np.ones((3, 2)), "an array"), (np.ones(3), "an array")):
         np.save(tmp_path / "a.npy", array)
-        with pytest.raises(ConfigError, match=f"a.npy: {said}"):
+        with pytest.raises(ConfigError, match=f"a.npy: {error_text}"):
             read_points(tmp_path / "a.npy")
     whole = tmp_path / "a.npy"
     np.save(whole, np.ones((100, 3)))

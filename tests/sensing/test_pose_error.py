@@ -1,4 +1,4 @@
-"""What agents believe about their pose."""
+"""Errors of agents' own pose estimates."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ def test_chunks_are_given_up_once_the_agent_hears_that_it_is_enough() -> None:
     made = radio(profile="1mbit,10ms")
     for _ in range(3):
         made.transmit(0, 5_000, is_chunk=True)  # 41 ms each
-    assert made.begin(100 * MS, enough_sim_ns=30 * MS) == 2  # it hears of it 5 ms later
+    assert made.begin(100 * MS, enough_sim_ns=30 * MS) == 2  # it receives that 5 ms later
     assert made.traffic().data_sent_bytes == on_air_bytes(5_000)
 
 

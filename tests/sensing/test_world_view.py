@@ -40,8 +40,8 @@ class Run:
 
     def __init__(self) -> None:
         network = InProcessRouter(BusName.WORLD)
-        self.asked, self.heard = Inbox(), Inbox()
-        self.sim, self.mine = network.bus(self.asked), network.bus(self.heard)
+        self.requests, self.received = Inbox(), Inbox()
+        self.sim, self.mine = network.bus(self.requests), network.bus(self.received)
         self.sim.subscribe("tiles")
         self.mine.subscribe("tick")
         self.ticks = TickPublisher(self.sim)
@@ -49,12 +49,12 @@ class Run:
         self.fleet.join(PROCESS)
         self.around = Surroundings(self.mine, PROCESS, REACH_M)
         self.tick: Tick | None = None
-        self.tiles_heard = 0
+        self.tiles_received = 0
 
-    def hear(self) -> None:
-        while isinstance(item := self.heard.get(), Envelope):
+    def receive(self) -> None:
+        while isinstance(item := self.received.get(), Envelope):
             if isinstance(item.message, TileBodies):
-                self.tiles_heard += 1
+                self.tiles_received += 1
                 self.around.take(item.message)
             elif isinstance(item.message, Tick):
                 self.tick = item.message
@@ -63,7 +63,7 @@ class Run:
     def answer(self) -> int:
         """Lets the simulator answer; returns how many requests there were."""
         count = 0
-        while isinstance(item := self.asked.get(), Envelope):
+        while isinstance(item := self.requests.get(), Envelope):
             assert isinstance(item.message, TileRequest)
             self.ticks.answer(item.message)
             count += 1
@@ -71,10 +71,10 @@ class Run:
 
     def frame(self, number: int, bodies: TrafficState) -> WorldView:
         self.ticks.publish(number, number * 10**9, bodies, self.fleet)
-        self.hear()
+        self.receive()
         if not self.around.is_complete():
             assert self.answer() == 1
-            self.hear()
+            self.receive()
         assert self.around.is_complete()
         assert self.tick is not None
         return self.around.view(self.tick)
@@ -89,7 +89,7 @@ def test_a_process_that_plays_nobody_hears_of_no_body(run: Run) -> None:
     view = run.frame(0, traffic(("a", 10, 10)))
     assert view.ids == []
     assert view.hosted == {}
-    assert run.tiles_heard == 0
+    assert run.tiles_received == 0
 
 
 def test_a_newcomer_sees_all_that_its_lidar_reaches_in_its_first_frame(run: Run) -> None:
@@ -103,10 +103,10 @@ def test_a_newcomer_sees_all_that_its_lidar_reaches_in_its_first_frame(run: Run)
 def test_what_stands_still_is_not_sent_again(run: Run) -> None:
     still = traffic(("a", 10, 10), cavs=("a",))
     views = [run.frame(n, still) for n in range(4)]
-    assert run.tiles_heard == 1
+    assert run.tiles_received == 1
     assert [view.ids for view in views] == [["a"]] * 4
     assert run.frame(4, traffic(("a", 11, 10), cavs=("a",))).poses[0, 0] == 11
-    assert run.tiles_heard == 2
+    assert run.tiles_received == 2
 
 
 def test_who_leaves_a_tile_is_gone_and_comes_back(run: Run) -> None:
@@ -119,13 +119,13 @@ def test_who_leaves_a_tile_is_gone_and_comes_back(run: Run) -> None:
 def test_a_tile_that_was_lost_is_asked_for(run: Run) -> None:
     run.frame(0, traffic(("a", 10, 10), cavs=("a",)))
     run.ticks.publish(1, 10**9, traffic(("a", 12, 10), cavs=("a",)), run.fleet)
-    while isinstance(item := run.heard.get(), Envelope):
+    while isinstance(item := run.received.get(), Envelope):
         if isinstance(item.message, Tick):  # the bodies got lost
             run.tick = item.message
             run.around.begin(item.message)
     assert not run.around.is_complete()
     assert run.answer() == 1
-    run.hear()
+    run.receive()
     assert run.around.is_complete()
     assert run.tick is not None
     assert run.around.view(run.tick).poses[0, 0] == 12

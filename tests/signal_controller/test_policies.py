@@ -1,4 +1,4 @@
-"""From counts to the green to ask for."""
+"""From counts to the requested green."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A lane that nobody sees is unknown, not empty."""
+"""A lane that no sensor covers is unknown, not empty."""
 
 from __future__ import annotations
 

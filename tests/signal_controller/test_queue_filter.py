@@ -1,4 +1,4 @@
-"""A few vehicles that report themselves tell of those that do not."""
+"""Queue filter: a few vehicles that report themselves are evidence of those that do not."""
 
 from __future__ import annotations
 

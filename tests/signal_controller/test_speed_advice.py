@@ -38,7 +38,7 @@ CHANGE_S, LOST_S, HEADWAY_S = 5.0, 1.5, 3600 / 1900
 
 
 def problem() -> Problem:
-    """Nobody has been seen yet; nobody comes unseen."""
+    """No vehicle has been seen yet; none arrives unseen."""
     return PLANNER.problem(0.0, np.zeros((len(LANES), STEPS)), 0)
 
 

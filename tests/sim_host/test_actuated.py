@@ -53,12 +53,12 @@ def test_it_tells_what_sumo_shows_and_what_a_change_leads_to():
     cabinet = ActuatedCabinet(signal("Gr", "rG"), lambda: shown)
     wanted = SignalRequest(frame=1, sim_time_ns=1, tls="J", state="rG", policy="max_pressure")
     assert cabinet.request(wanted, 2) is None
-    told = []
+    spats = []
     for state in ("Gr", "yr", "rr", "rG", "ry"):
         shown = state
         spat = cabinet.spat(1, 2)
-        told.append((spat.state, spat.stage, spat.green))
-    assert told == [
+        spats.append((spat.state, spat.stage, spat.green))
+    assert spats == [
         ("Gr", "green", "Gr"), ("yr", "yellow", "rG"), ("rr", "all_red", "rG"),
         ("rG", "green", "rG"), ("ry", "yellow", "Gr"),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Vehicles follow speed advice that is right and recent, and none that is not."""
+"""Vehicles follow speed advice that is valid and recent, and no other."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ MAIN, SIDE = "rrrrrGGGGGGGG", "GGGGGrrrrrrrr"
 
 
 class Road:
-    """Agents by their id, with the signals ahead of them, and what they were told to do."""
+    """Agents by their id, with the signals ahead of them, and their speed commands."""
 
     def __init__(self) -> None:
         self.ahead = {"a": {"J"}, "b": {"J", "K"}, "c": {"K"}}
         self.speeds: dict[str, float | None] = {}
-        self.told: list[tuple[str, float | None]] = []
+        self.commands: list[tuple[str, float | None]] = []
 
     def signals_ahead(self, agent: str) -> set[str] | None:
         return self.ahead.get(agent)
@@ -34,7 +34,7 @@ class Road:
     def set_speed(self, agent: str, speed_mps: float | None) -> None:
         assert agent in self.ahead
         self.speeds[agent] = speed_mps
-        self.told.append((agent, speed_mps))
+        self.commands.append((agent, speed_mps))
 
 
 class Rig:
@@ -45,7 +45,7 @@ class Rig:
         bounds = SpeedBounds(least_mps=5.0, most_mps=20.0)
         self.advised = AdvisedSpeeds(self.road, {"J", "K"}, bounds, lockstep=lockstep)
 
-    def say(
+    def advise(
         self,
         agent: str,
         speed_mps: float | None,
@@ -74,11 +74,11 @@ class Rig:
 
 def test_an_agent_drives_as_advised_until_it_is_free() -> None:
     rig = Rig()
-    rig.say("a", 8.0)
-    assert rig.road.told == []
+    rig.advise("a", 8.0)
+    assert rig.road.commands == []
     rig.advised.actuate(NOW)
     assert rig.road.speeds == {"a": 8.0}
-    rig.say("a", None, NOW + S, now_ns=NOW + S)
+    rig.advise("a", None, NOW + S, now_ns=NOW + S)
     rig.advised.actuate(NOW + S)
     assert rig.road.speeds == {"a": None}
     assert rig.advised.obeyed == 1
@@ -87,7 +87,7 @@ def test_an_agent_drives_as_advised_until_it_is_free() -> None:
 
 def test_advice_that_is_not_renewed_ends_by_itself() -> None:
     rig = Rig()
-    rig.say("a", 8.0)
+    rig.advise("a", 8.0)
     for now_ns in (NOW, NOW + HELD_NS):
         rig.advised.actuate(now_ns)
         assert rig.road.speeds == {"a": 8.0}
@@ -97,7 +97,7 @@ def test_advice_that_is_not_renewed_ends_by_itself() -> None:
 
 def test_whoever_has_passed_the_stop_bar_drives_freely() -> None:
     rig = Rig()
-    rig.say("b", 8.0)
+    rig.advise("b", 8.0)
     rig.advised.actuate(NOW)
     rig.road.ahead["b"] = {"K"}
     rig.advised.actuate(NOW + 1)
@@ -106,33 +106,33 @@ def test_whoever_has_passed_the_stop_bar_drives_freely() -> None:
 
 def test_whoever_has_left_is_forgotten() -> None:
     rig = Rig()
-    rig.say("a", 8.0)
-    rig.say("b", 8.0)
+    rig.advise("a", 8.0)
+    rig.advise("b", 8.0)
     rig.advised.actuate(NOW)
-    rig.say("b", 7.0, NOW + 1, now_ns=NOW + 1)
+    rig.advise("b", 7.0, NOW + 1, now_ns=NOW + 1)
     del rig.road.ahead["a"], rig.road.ahead["b"]
     rig.advised.actuate(NOW + 1)
-    rig.say("a", None, NOW + 2, now_ns=NOW + 2)
+    rig.advise("a", None, NOW + 2, now_ns=NOW + 2)
     rig.advised.actuate(NOW + 2)
-    assert rig.road.told == [("a", 8.0), ("b", 8.0)]
+    assert rig.road.commands == [("a", 8.0), ("b", 8.0)]
     assert rig.refused() == {}
 
 
 def test_one_signal_does_not_end_what_another_advises() -> None:
     rig = Rig()
-    rig.say("b", 8.0, tls="K")
-    rig.say("b", None, tls="J")
+    rig.advise("b", 8.0, tls="K")
+    rig.advise("b", None, tls="J")
     rig.advised.actuate(NOW)
     assert rig.road.speeds == {"b": 8.0}
 
 
 def test_advice_over_a_virtual_link_acts_when_it_is_there() -> None:
     rig = Rig()
-    rig.say("a", 8.0, delay_ns=S // 4)
+    rig.advise("a", 8.0, delay_ns=S // 4)
     rig.advised.actuate(NOW + S // 5)
-    assert rig.road.told == []
+    assert rig.road.commands == []
     rig.advised.actuate(NOW + S // 4)
-    assert rig.road.told == [("a", 8.0)]
+    assert rig.road.commands == [("a", 8.0)]
 
 
 @pytest.mark.parametrize(
@@ -153,28 +153,28 @@ def test_advice_that_cannot_be_right_is_counted_and_dropped(
     reason: str, agent: str, speed_mps: float, more: dict
 ) -> None:
     rig = Rig()
-    rig.say(agent, speed_mps, **more)
+    rig.advise(agent, speed_mps, **more)
     rig.advised.actuate(NOW + S)
-    assert rig.road.told == []
+    assert rig.road.commands == []
     assert rig.refused() == {f"advice_{reason}": 1}
 
 
 def test_advice_counts_once_and_older_one_not_at_all() -> None:
     rig = Rig()
-    rig.say("a", 8.0)
-    rig.say("a", 6.0)
-    rig.say("a", 6.0, NOW - 1)
+    rig.advise("a", 8.0)
+    rig.advise("a", 6.0)
+    rig.advise("a", 6.0, NOW - 1)
     rig.advised.actuate(NOW)
-    assert rig.road.told == [("a", 8.0)]
+    assert rig.road.commands == [("a", 8.0)]
     assert rig.refused() == {"advice_replayed": 2}
 
 
 def test_in_lockstep_only_advice_of_the_present_frame_counts() -> None:
     rig = Rig(lockstep=True)
-    rig.say("a", 8.0, awaited=False)
-    rig.say("b", 8.0)
+    rig.advise("a", 8.0, awaited=False)
+    rig.advise("b", 8.0)
     rig.advised.actuate(NOW)
-    assert rig.road.told == [("b", 8.0)]
+    assert rig.road.commands == [("b", 8.0)]
     assert rig.refused() == {"advice_out_of_turn": 1}
 
 
@@ -182,12 +182,12 @@ def test_so_much_advice_waits_and_no_more(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(advised_speeds, "MAX_PENDING_ADVICE", 3)
     rig = Rig()
     for number in range(5):
-        rig.say("a", 8.0, NOW + number, now_ns=NOW + number, delay_ns=S)
+        rig.advise("a", 8.0, NOW + number, now_ns=NOW + number, delay_ns=S)
     assert rig.refused() == {"advice_crowded_out": 2}
     assert len(rig.advised._pending) == 3
 
 
-said = st.tuples(
+any_advice = st.tuples(
     st.sampled_from(["a", "b", "c", "nobody"]),
     st.sampled_from(["J", "K"]),
     st.none() | st.floats(1.0, 25.0),
@@ -196,7 +196,9 @@ said = st.tuples(
 )
 
 
-@given(st.lists(said, max_size=12, unique_by=lambda one: (one[0], one[1], one[3])), st.randoms())
+@given(
+    st.lists(any_advice, max_size=12, unique_by=lambda one: (one[0], one[1], one[3])), st.randoms()
+)
 def test_the_order_in_which_advice_arrives_is_no_matter(sent: list, random: object) -> None:
     found = []
     for _ in range(2):
@@ -206,9 +208,9 @@ def test_the_order_in_which_advice_arrives_is_no_matter(sent: list, random: obje
             now = [one for one in sent if one[3] == step]
             random.shuffle(now)
             for agent, tls, speed_mps, at, delay in now:
-                rig.say(agent, speed_mps, at, tls, now_ns=at, delay_ns=delay)
+                rig.advise(agent, speed_mps, at, tls, now_ns=at, delay_ns=delay)
             rig.advised.actuate(step)
-        found.append((rig.road.told, rig.refused()))
+        found.append((rig.road.commands, rig.refused()))
         held = {name for name, speed_mps in rig.road.speeds.items() if speed_mps is not None}
         assert held == rig.advised._held.keys()
     assert found[0] == found[1]

@@ -1,4 +1,4 @@
-"""The cabinet is safe whatever is asked of it, and does what is asked when that is safe."""
+"""The cabinet is safe whatever is requested, and obeys requests that are safe."""
 
 from itertools import pairwise
 

@@ -24,7 +24,7 @@ from sim_host.junctions import Row, write_net, write_plain_net
 from sim_host.netfile import Net, NetLane, read_net
 from sim_host.networks import NETWORKS
 from sim_host.road_map import read_signal
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 
 @pytest.fixture(scope="module")
@@ -302,7 +302,7 @@ def test_sumo_runs_the_grid_without_teleports_and_with_vehicles_on_all_approache
         [sys.executable, "-c", RUN, str(net.path), str(routes)],
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=TIMEOUT_S,
         check=True,
     )
     result = json.loads(done.stdout.splitlines()[-1])

@@ -1,4 +1,4 @@
-"""The cabinet amid requests that mean harm, judged by what it shows alone."""
+"""The cabinet under hostile requests, checked by the shown states alone."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ class Kerb:
         self.pending = PendingRequests()
         self.monitor = SignalMonitor(signal, promised or config, STEP_S)
         self.now_ns = 0
-        self.heard = 0
+        self.received = 0
         self.acted: Counter[str] = Counter()
         self.found: list[str] = []
         self.shown: Counter[str] = Counter()
 
     def note(self, request: SignalRequest) -> None:
-        self.heard += 1
+        self.received += 1
         if self.cabinet.refuse(request, self.now_ns) is None:
             self.pending.add(Envelope("request", {}, request, 0, b""), request)
             self.act()
@@ -62,7 +62,7 @@ class Kerb:
             self.acted[taken.request.policy] += 1
             self.cabinet.advance(self.now_ns)
 
-    def ask(self, state: str) -> None:
+    def send_request(self, state: str) -> None:
         self.note(
             SignalRequest(
                 frame=0, sim_time_ns=self.now_ns, tls=self.signal.tls, state=state, policy="true"
@@ -82,7 +82,7 @@ def check_counted(kerb: Kerb) -> None:
     ended = kerb.acted.total() + kerb.cabinet.refusals.total() + kerb.pending.overtaken
     kerb.pending.take(1 << 62, lambda _: True)  # counts all but one that are left
     waiting = kerb.pending.overtaken + kerb.pending.crowded_out
-    assert ended <= kerb.heard <= ended + waiting + 1
+    assert ended <= kerb.received <= ended + waiting + 1
 
 
 steps = st.lists(
@@ -113,7 +113,7 @@ def test_no_stream_of_hostile_requests_makes_it_unsafe(
     for ticks, kinds in stream:
         for kind in kinds:
             if kind == "true":
-                kerb.ask(signal.greens[rng.integers(len(signal.greens))])
+                kerb.send_request(signal.greens[rng.integers(len(signal.greens))])
             else:
                 kerb.note(hostile.make(kind, kerb.now_ns))
         for _ in range(ticks):
@@ -130,7 +130,7 @@ def test_a_cabinet_that_cuts_a_time_short_by_a_step_is_found(key: str, word: str
     hasty = CONFIG.model_copy(update={key: getattr(CONFIG, key) - STEP_S})
     kerb = Kerb(CROSSING, hasty, promised=CONFIG)
     for number in range(600):
-        kerb.ask(CROSSING.greens[number // 3 % 3])
+        kerb.send_request(CROSSING.greens[number // 3 % 3])
         kerb.step()
     assert any(word in one for one in kerb.found)
 
@@ -142,7 +142,7 @@ def test_without_fresh_requests_the_plan_runs_and_control_returns_by_itself() ->
     for second in range(90):
         for _ in range(10):
             if second // 30 != 1:
-                kerb.ask("rGrr")
+                kerb.send_request("rGrr")
             for kind in ("stale", "future", "other_signal", "all_green", "replayed"):
                 kerb.note(hostile.make(kind, kerb.now_ns))
             kerb.step()
@@ -165,7 +165,7 @@ def test_a_soak_of_hostile_requests_shows_nothing_unsafe(hours: float, per_step:
         if rng.random() < 0.01:
             wanted = CROSSING.greens[rng.integers(3)]
         if number % 10 == 0 and number // 3000 % 2:
-            kerb.ask(wanted)
+            kerb.send_request(wanted)
         many = int(per_step) or int(rng.random() < per_step)
         for _ in range(many):
             kerb.note(hostile.any(kerb.now_ns))

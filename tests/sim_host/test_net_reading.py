@@ -175,7 +175,7 @@ def test_demand_for_an_edge_elsewhere_is_refused_with_those_allowed(tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("body", "says"),
+    ("body", "error_text"),
     [
         ("", "holds no lanes"),
         ("<edge", "cannot be read as XML"),
@@ -184,9 +184,9 @@ def test_demand_for_an_edge_elsewhere_is_refused_with_those_allowed(tmp_path: Pa
     ],
 )
 def test_a_file_that_is_no_net_is_a_configuration_error(
-    tmp_path: Path, body: str, says: str
+    tmp_path: Path, body: str, error_text: str
 ) -> None:
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=error_text):
         road_map(read_net(write(tmp_path, net=[body])), ["T"])
 
 
@@ -205,10 +205,12 @@ def test_a_signal_that_the_net_lacks_is_refused_with_those_it_has(tmp_path: Path
 
 
 @pytest.mark.parametrize(
-    ("green", "says"), [("rr", "no phase of its plan is green"), ("rGr", "characters")]
+    ("green", "error_text"), [("rr", "no phase of its plan is green"), ("rGr", "characters")]
 )
-def test_an_unfit_plan_is_a_configuration_error(tmp_path: Path, green: str, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
+def test_an_unfit_plan_is_a_configuration_error(
+    tmp_path: Path, green: str, error_text: str
+) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         road_map(read_net(write(tmp_path, green=green)), ["T"])
 
 

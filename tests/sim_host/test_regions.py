@@ -59,7 +59,7 @@ def test_a_region_knows_its_lanes_those_that_count_for_it_and_what_lies_around(
 
 
 @pytest.mark.parametrize(
-    ("wanted", "says"),
+    ("wanted", "error_text"),
     [
         (17, "regions is 17, but there are 16 junctions: 1 regions would have none"),
         ({"a": []}, r"regions\.a has no junction"),
@@ -68,8 +68,8 @@ def test_a_region_knows_its_lanes_those_that_count_for_it_and_what_lies_around(
         ({"a": ["A0"]}, "A1, A2, A3, B0, B1 in no region"),
     ],
 )
-def test_regions_that_cannot_be_are_refused(grid: RoadMap, wanted: Any, says: str) -> None:
-    with pytest.raises(ConfigError, match=says):
+def test_regions_that_cannot_be_are_refused(grid: RoadMap, wanted: Any, error_text: str) -> None:
+    with pytest.raises(ConfigError, match=error_text):
         resolve_regions(grid, wanted)
 
 

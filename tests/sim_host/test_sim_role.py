@@ -1,4 +1,4 @@
-"""The sim role on local buses, with the other processes' mouths."""
+"""The sim role on in-process buses, with the other processes' messages."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ from protocol.process import Context
 from protocol.topics import BusName
 from sim_host.role import SimRole
 from sim_host.setup import build_setup
-from tests.waiting import PATIENCE_S, wait_until
+from tests.waiting import TIMEOUT_S, wait_until
 
 MAIN, SIDE = "rrrrrGGGGGGGG", "GGGGGrrrrrrrr"
 M = TypeVar("M", bound=m.Message)
@@ -67,31 +67,31 @@ class Rig:
             bus.close()
 
     def turn(self) -> list[m.Message]:
-        """Lets the role go on with all that came; returns what it said."""
+        """Lets the role handle all messages; returns what it published."""
         while (item := self.inbox.get()) is not None:
             self.role.on(item)
         self.role.poll()
-        said = []
+        published = []
         while isinstance(item := self.seen.get(), Envelope):
-            said.append(item.message)
-        return said
+            published.append(item.message)
+        return published
 
     def until(self, holds: Callable[[list[m.Message]], bool]) -> list[m.Message]:
         """Turns until the messages published are those waited for."""
-        said: list[m.Message] = []
-        wait_until(lambda: said.extend(self.turn()) or holds(said))
-        return said
+        published: list[m.Message] = []
+        wait_until(lambda: published.extend(self.turn()) or holds(published))
+        return published
 
     def until_frame(self) -> list[m.Message]:
         for _ in range(100):
-            if said := self.turn():
-                return said
+            if published := self.turn():
+                return published
         raise AssertionError("no frame began")
 
-    def ask(
+    def request(
         self, tick: m.Tick, state: str, delay_sim_ns: int | None = None, **other: object
     ) -> None:
-        asked = {
+        fields = {
             "frame": tick.frame,
             "sim_time_ns": tick.sim_time_ns,
             "tls": "J",
@@ -99,7 +99,7 @@ class Rig:
             "policy": "test",
             "delay_sim_ns": delay_sim_ns,
         }
-        request = m.SignalRequest.model_validate(asked | other)
+        request = m.SignalRequest.model_validate(fields | other)
         self.listener_v2x.publish("request", request, tls="J")
 
     def advise(self, tick: m.Tick, agent: str, speed_mps: float | None, frame: int = 0) -> None:
@@ -129,8 +129,8 @@ def make(tmp_path: Path) -> Iterator[type[Rig]]:
         rig.role.close()
 
 
-def only(said: list[m.Message], kind: type[M]) -> list[M]:
-    return [message for message in said if isinstance(message, kind)]
+def only(published: list[m.Message], kind: type[M]) -> list[M]:
+    return [message for message in published if isinstance(message, kind)]
 
 
 def stages(metrics: list[m.Metrics]) -> list[str]:
@@ -151,25 +151,25 @@ def test_nothing_begins_before_all_are_there(make: type[Rig]) -> None:
 def test_lockstep_plays_every_frame_on_its_request_and_ends(make: type[Rig]) -> None:
     rig = make()
     rig.appear(*OTHERS)
-    said = rig.until_frame()
+    published = rig.until_frame()
     for frame in range(5):
-        [tick], [truth], [state] = (only(said, k) for k in (m.Tick, m.Truth, m.SignalState))
+        [tick], [truth], [state] = (only(published, k) for k in (m.Tick, m.Truth, m.SignalState))
         assert tick.frame == truth.frame == state.frame == frame
         assert tick.sim_time_ns == truth.sim_time_ns == (200 + frame) * 100_000_000
         assert tick.bodies == len(truth.ids)
         assert {*tick.agents} == {n for n, k in zip(truth.ids, truth.equipment, strict=True) if k}
         assert rig.turn() == []  # waits
-        rig.ask(tick, MAIN)
-        said = rig.turn()
-        metrics = only(said, m.Metrics)
+        rig.request(tick, MAIN)
+        published = rig.turn()
+        metrics = only(published, m.Metrics)
         assert {(one.process, one.frame) for one in metrics} == {("sim", frame)}
         assert stages(metrics) == ["actuate", "world"]
         assert metrics[-1].drops == {}
-    [end], [trips] = only(said, m.End), only(said, m.Trips)
+    [end], [trips] = only(published, m.End), only(published, m.Trips)
     assert (end.frames, end.reason) == (5, "finished")
     assert trips.frame == 4
     assert {trip.vehicle for trip in trips.trips} >= set(truth.ids)
-    assert isinstance(said[-1], m.End)
+    assert isinstance(published[-1], m.End)
     assert rig.stop.is_set()
 
 
@@ -182,7 +182,7 @@ def test_vehicles_with_radio_are_spread_and_move_when_a_process_dies(make: type[
     assert (tick.equipment != m.Equipment.NONE).all()
     assert abs(np.subtract(*np.bincount(tick.hosts, minlength=2))) <= 1
     rig.vanish("vehicle-0")
-    rig.ask(tick, MAIN)
+    rig.request(tick, MAIN)
     [tick] = only(rig.turn(), m.Tick)
     assert tick.processes == ["vehicle-1"]
     assert set(tick.hosts.tolist()) == {0}
@@ -205,10 +205,10 @@ def test_a_frame_waits_for_a_request_that_can_be_taken(
     rig = make()
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
-    rig.ask(tick, **{"state": MAIN, **bad})
+    rig.request(tick, **{"state": MAIN, **bad})
     assert rig.turn() == []
-    rig.ask(tick, MAIN)
-    rig.ask(tick, **{"state": MAIN, **bad})
+    rig.request(tick, MAIN)
+    rig.request(tick, **{"state": MAIN, **bad})
     metrics = only(rig.turn(), m.Metrics)
     assert stages(metrics) == ["actuate", "world"]
     after = Counter({"request_out_of_turn": 1})
@@ -219,7 +219,7 @@ def test_a_run_that_hears_unsafe_requests_alone_ends_by_their_reason(make: type[
     rig = make(cabinet={"request_timeout_s": 0.05})
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
-    rig.ask(tick, "G" * 13)
+    rig.request(tick, "G" * 13)
     with pytest.raises(BusError, match=r"what the cabinet refuses \(1 conflict\)"):
         rig.until(lambda _: False)
 
@@ -229,23 +229,23 @@ def test_a_request_with_a_delay_acts_that_much_later_in_simulated_time(make: typ
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
     for frame in range(9):
-        rig.ask(tick, MAIN, delay_sim_ns=250_000_000)  # on a grid of 0.1 s
-        said = rig.turn()
-        acted = [one.frame for one in only(said, m.Metrics) if stages([one]) == ["actuate"]]
+        rig.request(tick, MAIN, delay_sim_ns=250_000_000)  # on a grid of 0.1 s
+        published = rig.turn()
+        acted = [one.frame for one in only(published, m.Metrics) if stages([one]) == ["actuate"]]
         assert acted == ([frame - 3] if frame >= 3 else [])
-        [tick] = only(said, m.Tick)
+        [tick] = only(published, m.Tick)
 
 
 def test_a_request_that_a_newer_one_has_overtaken_is_counted(make: type[Rig]) -> None:
     rig = make()
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
-    rig.ask(tick, MAIN, delay_sim_ns=150_000_000)
+    rig.request(tick, MAIN, delay_sim_ns=150_000_000)
     [tick] = only(rig.turn(), m.Tick)
-    rig.ask(tick, MAIN)
-    said = rig.turn()
-    assert [one.frame for one in only(said, m.Metrics) if stages([one]) == ["actuate"]] == [1]
-    rig.ask(only(said, m.Tick)[0], MAIN)
+    rig.request(tick, MAIN)
+    published = rig.turn()
+    assert [one.frame for one in only(published, m.Metrics) if stages([one]) == ["actuate"]] == [1]
+    rig.request(only(published, m.Tick)[0], MAIN)
     assert only(rig.turn(), m.Metrics)[-1].drops == {"request_overtaken": 1}
 
 
@@ -288,7 +288,7 @@ def test_the_world_stays_until_the_recorder_has_left(make: type[Rig]) -> None:
     wait_until(lambda: (item := rig.seen.get()) is not None and item.topic == "end")
     assert closing.is_alive()
     rig.vanish("record")
-    closing.join(PATIENCE_S)
+    closing.join(TIMEOUT_S)
     assert not closing.is_alive()
 
 
@@ -297,21 +297,21 @@ def test_realtime_keeps_the_clock_without_any_request(make: type[Rig]) -> None:
     rig.appear(*OTHERS)
     rig.until_frame()
     start_ns = time.monotonic_ns()
-    said = rig.until(lambda _: rig.stop.is_set())
+    published = rig.until(lambda _: rig.stop.is_set())
     assert 0.4 < (time.monotonic_ns() - start_ns) / 1e9 < 2
-    assert [tick.frame for tick in only(said, m.Tick)] == [1, 2, 3, 4]
-    assert only(said, m.End)[0].frames == 5
-    assert {state.source for state in only(said, m.SignalState)} == {"plan"}
+    assert [tick.frame for tick in only(published, m.Tick)] == [1, 2, 3, 4]
+    assert only(published, m.End)[0].frames == 5
+    assert {state.source for state in only(published, m.SignalState)} == {"plan"}
 
 
 def test_realtime_acts_on_a_frames_request_once_and_at_once(make: type[Rig]) -> None:
     rig = make("realtime", traffic={"warmup_s": 0})
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
-    rig.ask(tick, MAIN)
-    rig.ask(tick, SIDE)
-    said = rig.until(lambda said: len(only(said, m.Metrics)) == 2)
-    assert stages(only(said, m.Metrics)) == ["actuate", "world"]
+    rig.request(tick, MAIN)
+    rig.request(tick, SIDE)
+    published = rig.until(lambda published: len(only(published, m.Metrics)) == 2)
+    assert stages(only(published, m.Metrics)) == ["actuate", "world"]
 
 
 def test_realtime_acts_on_a_true_request_amid_hostile_ones(make: type[Rig]) -> None:
@@ -319,19 +319,19 @@ def test_realtime_acts_on_a_true_request_amid_hostile_ones(make: type[Rig]) -> N
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
     for ahead_ns in range(1, 2000):
-        rig.ask(tick, SIDE, sim_time_ns=tick.sim_time_ns + ahead_ns * 10**9)
-    rig.ask(tick, "G" * 13)
-    rig.ask(tick, SIDE, tls="K")
-    rig.ask(tick, MAIN)
-    rig.ask(tick, MAIN)
-    said = rig.until(lambda said: "world" in stages(only(said, m.Metrics)))
-    assert stages(only(said, m.Metrics)) == ["actuate", "world"]
-    assert only(said, m.Metrics)[0].drops == {
+        rig.request(tick, SIDE, sim_time_ns=tick.sim_time_ns + ahead_ns * 10**9)
+    rig.request(tick, "G" * 13)
+    rig.request(tick, SIDE, tls="K")
+    rig.request(tick, MAIN)
+    rig.request(tick, MAIN)
+    published = rig.until(lambda published: "world" in stages(only(published, m.Metrics)))
+    assert stages(only(published, m.Metrics)) == ["actuate", "world"]
+    assert only(published, m.Metrics)[0].drops == {
         "request_from_the_future": 1999,
         "request_conflict": 1,
         "request_wrong_tls": 1,
     }
-    assert only(said, m.Metrics)[1].drops["request_replayed"] == 1
+    assert only(published, m.Metrics)[1].drops["request_replayed"] == 1
 
 
 ADVISING = {"policy": "predictive", "speed_advice": True, "advice_min_mps": 5}
@@ -351,8 +351,8 @@ def test_agents_follow_speed_advice_where_the_scenario_says_so(
 ) -> None:
     rig = make(duration_s=1, signal=ADVISING | {"speed_advice": is_on})
     rig.appear(*OTHERS)
-    said = rig.until_frame()
-    [tick], [truth] = only(said, m.Tick), only(said, m.Truth)
+    published = rig.until_frame()
+    [tick], [truth] = only(published, m.Tick), only(published, m.Truth)
     agent = driving(truth)
     [bystander, *_] = [n for n, k in zip(truth.ids, truth.equipment, strict=True) if not k]
     speeds = []
@@ -360,22 +360,22 @@ def test_agents_follow_speed_advice_where_the_scenario_says_so(
         rig.advise(tick, agent, 6.0)
         rig.advise(tick, bystander, 6.0)
         rig.advise(tick, agent, 7.0, frame=1)
-        rig.ask(tick, MAIN)
-        said = rig.turn()
-        [tick], [truth] = only(said, m.Tick), only(said, m.Truth)
+        rig.request(tick, MAIN)
+        published = rig.turn()
+        [tick], [truth] = only(published, m.Tick), only(published, m.Truth)
         speeds.append(truth.speeds_mps[truth.ids.index(agent)])
     assert (min(speeds) < 9) == is_on
-    drops = only(said, m.Metrics)[-1].drops
+    drops = only(published, m.Metrics)[-1].drops
     assert drops == ({"advice_unknown_agent": 9, "advice_out_of_turn": 9} if is_on else {})
 
 
 def test_a_frame_waits_for_the_advice_that_its_request_counts(make: type[Rig]) -> None:
     rig = make(signal=ADVISING, cabinet={"request_timeout_s": 5})
     rig.appear(*OTHERS)
-    said = rig.until_frame()
-    [tick], [truth] = only(said, m.Tick), only(said, m.Truth)
+    published = rig.until_frame()
+    [tick], [truth] = only(published, m.Tick), only(published, m.Truth)
     rig.advise(tick, driving(truth), 6.0)
-    rig.ask(tick, MAIN, advised=2)
+    rig.request(tick, MAIN, advised=2)
     assert rig.turn() == []
     rig.advise(tick, "nobody", 6.0)
     assert len(only(rig.turn(), m.Tick)) == 1
@@ -385,6 +385,6 @@ def test_advice_that_never_comes_ends_the_run(make: type[Rig]) -> None:
     rig = make(signal=ADVISING, cabinet={"request_timeout_s": 0.05})
     rig.appear(*OTHERS)
     [tick] = only(rig.until_frame(), m.Tick)
-    rig.ask(tick, MAIN, advised=1)
+    rig.request(tick, MAIN, advised=1)
     with pytest.raises(BusError, match="no complete speed advice for frame 0 for J"):
         rig.until(lambda _: False)

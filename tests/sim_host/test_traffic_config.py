@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 from sim_host.config import CabinetConfig, LateralConfig, TrafficConfig
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 
 @pytest.mark.parametrize(
@@ -46,4 +46,4 @@ def test_configuration_and_cabinet_need_no_sumo() -> None:
         "import sys, sim_host.config, sim_host.cabinet, sim_host.world, sim_host.setup;"
         "assert not {'sumo', 'libsumo', 'sumolib'} & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=TIMEOUT_S)

@@ -75,7 +75,7 @@ def test_buildings_near_the_signal_are_read_with_their_heights(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "error_text"),
     [
         ("<additional>", "no SUMO polygon file"),
         ('<a><poly id="a" shape="1,b 2,3 4,5"/></a>', "no SUMO polygon file"),
@@ -83,11 +83,11 @@ def test_buildings_near_the_signal_are_read_with_their_heights(tmp_path: Path) -
     ],
 )
 def test_an_unfit_polygon_file_is_a_configuration_error(
-    tmp_path: Path, text: str, says: str
+    tmp_path: Path, text: str, error_text: str
 ) -> None:
     path = tmp_path / "town.poly.xml"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=error_text):
         read_polygons(path, [(0.0, 0.0, 0.0)])
     with pytest.raises(ConfigError, match="does not exist"):
         read_polygons(tmp_path / "none.poly.xml", [(0.0, 0.0, 0.0)])

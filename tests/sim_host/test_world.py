@@ -1,4 +1,4 @@
-"""SUMO behind its clean face, on the built-in junction."""
+"""The world that SUMO simulates, on the built-in junction."""
 
 import gzip
 from pathlib import Path
@@ -155,21 +155,21 @@ def test_routes_alone_run_on_a_net_and_begin_with_their_first_vehicle(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "error_text"),
     [
         ("<routes>", "cannot be read as XML"),
         ('<routes><trip id="a" depart="noon"/></routes>', "times must be in seconds"),
     ],
 )
 def test_routes_that_cannot_be_read_are_named(
-    run_dir: Path, tmp_path: Path, text: str, said: str
+    run_dir: Path, tmp_path: Path, text: str, error_text: str
 ) -> None:
     (tmp_path / "own.rou.xml").write_text(text)
     traffic = {
         "net": str(run_dir / "sumo" / "t_junction.net.xml"),
         "routes": str(tmp_path / "own.rou.xml"),
     }
-    with pytest.raises(ConfigError, match=rf"own\.rou\.xml.* {said}"):
+    with pytest.raises(ConfigError, match=rf"own\.rou\.xml.* {error_text}"):
         build_setup({"traffic": traffic}, tmp_path / "run")
 
 
@@ -188,7 +188,7 @@ def test_a_demand_that_sumo_refuses_is_a_configuration_error(
 
 
 @pytest.mark.parametrize(
-    ("traffic", "says"),
+    ("traffic", "error_text"),
     [
         ({"net": "none.net.xml"}, r"none\.net\.xml does not exist"),
         ({"sumocfg": "none.sumocfg"}, r"none\.sumocfg does not exist"),
@@ -196,9 +196,9 @@ def test_a_demand_that_sumo_refuses_is_a_configuration_error(
     ],
 )
 def test_a_users_mistake_is_a_configuration_error(
-    tmp_path: Path, traffic: dict[str, object], says: str
+    tmp_path: Path, traffic: dict[str, object], error_text: str
 ) -> None:
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=error_text):
         build_setup({"traffic": traffic}, tmp_path)
 
 

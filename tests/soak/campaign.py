@@ -45,12 +45,12 @@ def hurt(
     minutes: float,
     kills: int,
     rng: np.random.Generator,
-    tell: Callable[[Fault], None],
+    report: Callable[[Fault], None],
 ) -> tuple[list[Fault], list[Growth]]:
-    """Kills so many processes in so many minutes, at random times; returns what came of it.
+    """Kills so many processes in so many minutes, at random times; returns the faults.
 
     A process is killed once all is right; how long that stays so is drawn at random. Each fault is
-    told at once.
+    reported at once.
     """
     memory = Memory(run_dir)
     faults = []
@@ -63,21 +63,21 @@ def hurt(
             memory.sample()
         observer.listen(GIVE_UP_S, observer.is_right)
         faults.append(hurt_once(observer, run_dir, victim))
-        tell(faults[-1])
+        report(faults[-1])
     return faults, memory.growth()
 
 
 def hurt_once(
-    observer: Observer, run_dir: Path, victim: str, patience_s: float = GIVE_UP_S
+    observer: Observer, run_dir: Path, victim: str, timeout_s: float = GIVE_UP_S
 ) -> Fault:
     """Kills a process and waits until all is right again, at most so long."""
     health = observer.health
     frame = health.frame
     since_ns = time.monotonic_ns()
     kill(run_dir, victim)
-    observer.listen(patience_s, lambda: victim in health.absent())
-    health.doubt()
-    observer.listen(patience_s, observer.is_right)
+    observer.listen(timeout_s, lambda: victim in health.absent())
+    health.reset()
+    observer.listen(timeout_s, observer.is_right)
     right_ns = health.right_since_ns
     if right_ns is None:
         return Fault(victim, frame, None, health.wrong)
@@ -141,7 +141,7 @@ def soak(minutes: float, kills: int, seed: int, out: Path, keys: list[str]) -> F
                     raise BusError(f"the run never went right: {observer.health.wrong}")
                 rng = np.random.default_rng(seed)
                 faults, memory = hurt(
-                    observer, out, minutes=minutes, kills=kills, rng=rng, tell=_tell
+                    observer, out, minutes=minutes, kills=kills, rng=rng, report=_report
                 )
                 asked = set(observer.asked)
         finally:
@@ -150,7 +150,7 @@ def soak(minutes: float, kills: int, seed: int, out: Path, keys: list[str]) -> F
     return look_back(out, minutes, faults, memory, asked)
 
 
-def _tell(fault: Fault) -> None:
+def _report(fault: Fault) -> None:
     console.print(str(fault), markup=False, soft_wrap=True)
 
 

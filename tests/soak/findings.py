@@ -59,7 +59,7 @@ def _growth(process: str, samples_mib: list[float]) -> Growth:
     return Growth(process, early, late, max(samples_mib))
 
 
-SPARED = {"sim"}  # the world; what it is to others, nothing can stand in for
+SPARED = {"sim"}  # the world, which nothing can replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def processes_of(run_dir: Path) -> dict[str, int]:
 
 
 def victims_of(processes: Sequence[str], kills: int, rng: np.random.Generator) -> list[str]:
-    """Returns whom to kill, in random order, everybody about as often."""
+    """Returns the processes to kill, in random order, each about as often."""
     candidates = sorted(set(processes) - SPARED)
     rounds = -(-kills // len(candidates))
     order = np.concatenate([rng.permutation(candidates) for _ in range(rounds)])
@@ -110,7 +110,7 @@ FLAT_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Faults with their recoveries, memory, and what the database says; gaps of the recorder."""
+    """Faults with their recoveries, memory, and figures of the database; gaps of the recorder."""
 
     minutes: float
     faults: list[Fault]
@@ -147,7 +147,7 @@ def look_back(
         minutes: how long it was hurt.
         faults: who was killed.
         memory: of each process.
-        asked: the frames of which somebody who listened all the time heard a request.
+        asked: the frames with a request, by an observer that was attached all the time.
     """
     with Run(run_dir) as run:
         gaps = list(run.rows(GapRow))

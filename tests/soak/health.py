@@ -13,7 +13,7 @@ from protocol.topics import BusName
 
 STEADY_FRAMES = 3
 SETTLED_FRAMES = 10
-"""A CAV that has just come may still be connecting; after so many frames it is to be heard."""
+"""A CAV that has just come may still be connecting; after so many frames it must publish."""
 KEPT_FRAMES = 100
 FALLBACK = "plan"
 
@@ -42,7 +42,7 @@ class Health:
         """When the first of enough right frames had its counts; None while it is not right."""
         return self._streak[0] if len(self._streak) >= STEADY_FRAMES else None
 
-    def doubt(self) -> None:
+    def reset(self) -> None:
         """Forgets how it was: something is about to happen."""
         self._streak.clear()
         self._counted.clear()
@@ -75,7 +75,7 @@ class Health:
         known = (presence.bus, presence.id)
         (self._here.add if presence.alive else self._here.discard)(known)
         if not presence.alive and known in self._needed:
-            self.doubt()
+            self.reset()
 
     def _note_tick(self, tick: Tick) -> None:
         self.frame = tick.frame
@@ -106,7 +106,7 @@ class Health:
             wrong = "the signal shows its plan"
         self.wrong = wrong
         if wrong:
-            self.doubt()
+            self.reset()
         else:
             self._counted[counts.frame] = now_ns
 

@@ -1,4 +1,4 @@
-"""Made-up scene samples and a detector that finds what it is told to."""
+"""Made-up scene samples and a scripted detector."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def scene_sample(
     return SceneSample("made-up", 0, scans, np.array(boxes), classes, np.array(points_on))
 
 
-class Told:
-    """Finds what it is told to."""
+class ScriptedDetector:
+    """A detector that returns scripted boxes."""
 
     def __init__(self, boxes: list[list[float]]) -> None:
         self.boxes = np.array(boxes).reshape(-1, 7)

@@ -65,11 +65,11 @@ def test_no_number_of_a_table_is_cut_where_a_file_is_large_and_its_path_long():
         noise_floor_bits=None,
         loss_floor_bits=None,
     )
-    said = io.StringIO()
-    print_bench([row], Console(file=said, width=80))
-    assert "where/somewhere/x.bin, 1 points" in said.getvalue()
+    printed = io.StringIO()
+    print_bench([row], Console(file=printed, width=80))
+    assert "where/somewhere/x.bin, 1 points" in printed.getvalue()
     for number in ("10432123456", "12345.67", "76543.21", "123.45", "10.00", "12.34"):
-        assert number in said.getvalue()
+        assert number in printed.getvalue()
 
 
 @pytest.fixture(scope="module")

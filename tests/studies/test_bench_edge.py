@@ -25,9 +25,9 @@ def test_each_detector_and_number_of_agents_has_a_row_for_each_stage() -> None:
         assert sum(ms[s] for s in ("merge", "ground", "detect", "fuse", "count")) < ms["total"]
     assert rows[-1].points > 1.5 * rows[0].points
     assert rows[-1].detections > rows[0].detections > 10
-    said = io.StringIO()
-    print_edge(rows, Console(file=said, width=60))
-    assert str(rows[-1].points) in said.getvalue()
+    printed = io.StringIO()
+    print_edge(rows, Console(file=printed, width=60))
+    assert str(rows[-1].points) in printed.getvalue()
     assert set(rows[0].as_json()) == {
         "detector", "agents", "points", "detections", "stage", "ms_p50", "ms_p95", "peak_mb",
     }  # fmt: skip

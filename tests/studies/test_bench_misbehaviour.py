@@ -47,9 +47,9 @@ def test_honest_agents_are_never_left_out_and_a_jump_is_seen_at_once(recorded_ru
     assert jump.found == jump.tried > 0
     assert jump.after_s is not None
     assert jump.after_s < 1
-    said = io.StringIO()
-    print_misbehaviour([honest, jump], Console(file=said, width=60))
-    assert "the truth" in said.getvalue()
+    printed = io.StringIO()
+    print_misbehaviour([honest, jump], Console(file=printed, width=60))
+    assert "the truth" in printed.getvalue()
     assert set(jump.as_json()) >= {"cav_rate", "attack", "tried", "found", "after_s"}
 
 

@@ -1,4 +1,4 @@
-"""`cpnet bench recorder`: a small city is recorded whole, and its size told by table."""
+"""`cpnet bench recorder`: a small city is recorded completely, with the size of each table."""
 
 import json
 

@@ -65,7 +65,7 @@ def test_a_table_has_the_boxes_in_the_map_frame(tmp_path, found):
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "error_text"),
     [
         ("a.csv", r"ends in \.csv; allowed are \.parquet, \.txt"),
         ("none/a.txt", "the folder .*none does not exist"),
@@ -73,8 +73,8 @@ def test_a_table_has_the_boxes_in_the_map_frame(tmp_path, found):
         ("full/x", "is there already, and is of another kind"),
     ],
 )
-def test_names_that_boxes_cannot_be_written_to_are_refused(tmp_path, name, said):
+def test_names_that_boxes_cannot_be_written_to_are_refused(tmp_path, name, error_text):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").write_text("")
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         box_files.check_boxes(tmp_path / name)

@@ -17,13 +17,13 @@ from studies import evaluate as study
 from studies.evaluate import Site, evaluate
 from studies.evaluation_tables import print_evaluation
 from tests.roads import junction_road
-from tests.studies.made_samples import Told, car, scene_sample
+from tests.studies.made_samples import ScriptedDetector, car, scene_sample
 
 
 def rows_with(
     monkeypatch: pytest.MonkeyPatch, sample: SceneSample, boxes: list[list[float]]
 ) -> Any:
-    monkeypatch.setattr(study, "detector_of", lambda *_: Told(boxes))
+    monkeypatch.setattr(study, "detector_of", lambda *_: ScriptedDetector(boxes))
     rows = evaluate([(Site(junction_road(), EdgeConfig()), sample)], ["fast"])
 
     def of(**wanted: Any) -> Any:

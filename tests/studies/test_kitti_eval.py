@@ -117,7 +117,7 @@ def test_the_image_of_a_box_is_where_the_camera_sees_it():
 
 
 @pytest.mark.parametrize(
-    ("line", "calib", "said"),
+    ("line", "calib", "error_text"),
     [
         ("Car 0 0", None, r"000007\.txt:1: needs 15 fields or more, the first one of Car, Van"),
         ("Lorry" + " 1" * 14, None, r"000007\.txt:1: needs 15 fields"),
@@ -127,9 +127,9 @@ def test_the_image_of_a_box_is_where_the_camera_sees_it():
         ("", CALIB.replace("R0_rect: 1", "R0_rect: 3"), "are no motion of a solid body"),
     ],
 )
-def test_labels_that_are_wrong_are_refused_with_file_and_line(tmp_path, line, calib, said):
+def test_labels_that_are_wrong_are_refused_with_file_and_line(tmp_path, line, calib, error_text):
     frame(tmp_path, [AHEAD], [line], calib)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         kitti_frames(tmp_path)
 
 
@@ -145,10 +145,10 @@ def test_the_command_prints_a_table_or_json_and_refuses_what_does_not_fit(tmp_pa
     assert not any(line[:2] == ["car", "moderate"] for line in lines)  # as easy as all
     listed = json.loads(CliRunner().invoke(app, [*asked, "--json", "--range=50"]).stdout)
     assert {row["part"] for row in listed} == {"all", "easy", "moderate", "hard"}
-    for options, said in (
+    for options, error_text in (
         (["eval", "--range=50", str(tmp_path)], "--range is for --kitti DIR"),
         ([*asked, "--range=500"], "--range 500: must be 5 to 90 m"),
         ([*asked, "--net=x"], "give a dataset, --net or --kitti, one of them"),
         (["eval", "--kitti", str(tmp_path / "none")], "does not exist"),
     ):
-        assert said in str(CliRunner().invoke(app, options).exception)
+        assert error_text in str(CliRunner().invoke(app, options).exception)

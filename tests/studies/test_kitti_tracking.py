@@ -27,7 +27,7 @@ def test_both_forms_of_a_box_say_the_same() -> None:
     detection = read_boxes(FILES / "detections" / "0000.txt")
     for one in (label, detection):
         assert one.types[0] == "Car"
-        # 12 m ahead, 3.5 m to the right, heading as the car that looks on
+        # 12 m ahead, 3.5 m to the right, heading as the observing car
         assert one.boxes[0] == pytest.approx([12, -3.5, -0.9, 4.2, 1.7, 1.5, 0], abs=0.03)
     assert (label.ids[0], detection.ids[0]) == (1, -1)
     assert (label.scores[0], detection.scores[0]) == (1.0, 4.35)
@@ -82,7 +82,7 @@ def changed(folder: Path, change: Callable[[list[str]], list[str]]) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "error_text"),
     [
         (lambda words: words[:-1], "has 14 words, needs 15, 17 or 18"),
         (lambda words: ["x", *words[1:]], "line 1"),
@@ -92,9 +92,9 @@ def changed(folder: Path, change: Callable[[list[str]], list[str]]) -> Path:
     ],
 )
 def test_a_line_that_is_no_box_is_named(
-    tmp_path: Path, change: Callable[[list[str]], list[str]], says: str
+    tmp_path: Path, change: Callable[[list[str]], list[str]], error_text: str
 ) -> None:
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(ConfigError, match=error_text):
         track_files(changed(tmp_path / "in", change), tmp_path / "out", None, 10, TrackingConfig())
 
 

@@ -1,4 +1,4 @@
-"""Posts stand where a city can build them."""
+"""Roadside posts stand beside the road."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Runs in processes of their own: all come back, an error ends the rest, a killed one is told."""
+"""Runs in processes of their own: all come back, an error ends the rest, a killed one is named."""
 
 from __future__ import annotations
 
@@ -52,15 +52,17 @@ def test_what_tasks_print_goes_to_the_log(tmp_path, capfd) -> None:
 
 
 @pytest.mark.parametrize(
-    ("task", "error", "said"),
+    ("task", "error", "error_text"),
     [
         ("wrong", ConfigError, "it is wrong"),
         ("killed", ConfigError, "a run's process was killed"),
         ("unsendable", RuntimeError, "Unsendable: for good"),
     ],
 )
-def test_what_ends_a_task_ends_the_others(task: str, error: type[Exception], said: str) -> None:
-    with pytest.raises(error, match=said):
+def test_what_ends_a_task_ends_the_others(
+    task: str, error: type[Exception], error_text: str
+) -> None:
+    with pytest.raises(error, match=error_text):
         list(run_each(work, ["endless", task, "a"], 2))
     assert multiprocessing.active_children() == []
 

@@ -1,4 +1,4 @@
-"""What is read off trajectories: on a made-up road, with answers that can be counted."""
+"""Traffic measures from trajectories: on a made-up road, with countable answers."""
 
 import math
 from collections.abc import Iterable
@@ -67,7 +67,7 @@ def test_greens_are_those_of_a_lanes_links() -> None:
         orient="row",
     )
     found = greens(states, LAYOUT.links)
-    # the green from the start on began who knows when
+    # the start of the first green is unknown
     assert found.rows() == [
         ("j", "in_0", 4.0, 5.0),
         ("j", "in_1", 4.0, 5.0),

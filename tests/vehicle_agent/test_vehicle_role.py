@@ -1,4 +1,4 @@
-"""The vehicle role, as far as it looks at what it hears."""
+"""The vehicle role: handling of received messages."""
 
 from __future__ import annotations
 

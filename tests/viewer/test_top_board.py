@@ -1,4 +1,4 @@
-"""What the terminal view makes of messages."""
+"""The terminal view: rows made from messages."""
 
 import io
 from contextlib import suppress
@@ -208,8 +208,8 @@ def test_of_several_junctions_all_are_shown_in_their_regions() -> None:
 
 
 def test_rates_of_regions_are_those_that_the_recorder_publishes() -> None:
-    told = next(example for example in EXAMPLES if isinstance(example, m.Progress))
-    board = fed(*CITY, told, setup=CITY_SETUP)
+    progress = next(example for example in EXAMPLES if isinstance(example, m.Progress))
+    board = fed(*CITY, progress, setup=CITY_SETUP)
     assert [(row.region, row.mbps) for row in board.regions()] == [("r0", 5), ("r1", None)]
     assert "5.00" in text(board)
 

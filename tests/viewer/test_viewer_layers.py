@@ -1,4 +1,4 @@
-"""What is drawn of messages: arrays, texts, colours."""
+"""Layers drawn of messages: arrays, texts, colours."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Who follows a run draws what it has time for, and the last frame in any case."""
+"""The live viewer draws the frames that it has time for, and the last frame in any case."""
 
 import threading
 
@@ -16,7 +16,7 @@ FRAMES = 20
 
 
 class Drawn:
-    """Notes which frames are drawn."""
+    """Records which frames are drawn."""
 
     def __init__(self) -> None:
         self.frames: list[int] = []

@@ -1,4 +1,4 @@
-"""A drawing that is kept: in a file of its own, whole or not without a word."""
+"""Drawings kept in a file: complete, or an error is raised."""
 
 import shutil
 from collections import namedtuple

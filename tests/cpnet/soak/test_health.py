@@ -1,4 +1,4 @@
-"""What a soak takes for right."""
+"""Health checks of a soak: which frames count as right."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ PROCESSES = {"edge", "vehicle-0"}
 
 
 class Loop:
-    """Says what a loop would, frame after frame; a frame's time is its number."""
+    """Publishes the messages of a loop, frame after frame; a frame's time is its number."""
 
     def __init__(self) -> None:
         self.health = Health(set(PROCESSES), {"rsu-0"})
         self.frame = 0
         for process in PROCESSES:
             self.presence(process, alive=True)
-        self.say("state", m.SignalState.model_construct(source="max_pressure"))
+        self.publish("state", m.SignalState.model_construct(source="max_pressure"))
 
     def presence(self, process: str, *, alive: bool) -> None:
         for bus in BusName:
             self.health.take(Presence("role", process, alive, bus), 0)
 
-    def say(self, topic: str, message: m.Message) -> None:
+    def publish(self, topic: str, message: m.Message) -> None:
         self.health.take(Envelope(topic, {}, message, 0, b""), self.frame)
 
     def play(self, agents: list[str], cavs: list[str], *, complete: bool = True) -> None:
         kinds, hosts = np.ones(len(cavs), np.uint8), np.zeros(len(cavs), np.int32)
         tick = {"frame": self.frame, "agents": cavs, "equipment": kinds, "hosts": hosts}
         counts = {"frame": self.frame, "agents": agents, "complete": complete}
-        self.say("tick", m.Tick.model_construct(**tick))
-        self.say("lanes", m.LaneCounts.model_construct(**counts))
-        self.say("request", m.SignalRequest.model_construct(frame=self.frame))
+        self.publish("tick", m.Tick.model_construct(**tick))
+        self.publish("lanes", m.LaneCounts.model_construct(**counts))
+        self.publish("request", m.SignalRequest.model_construct(frame=self.frame))
         self.frame += 1
 
 
@@ -94,7 +94,7 @@ def test_who_is_missing_on_a_bus_makes_all_wrong_until_it_is_back(loop: Loop) ->
 
 
 def test_while_the_signal_shows_its_plan_nothing_is_right(loop: Loop) -> None:
-    loop.say("state", m.SignalState.model_construct(source="plan"))
+    loop.publish("state", m.SignalState.model_construct(source="plan"))
     for _ in range(STEADY_FRAMES):
         loop.play(["rsu-0"], [])
     assert loop.health.right_since_ns is None
@@ -104,7 +104,7 @@ def test_while_the_signal_shows_its_plan_nothing_is_right(loop: Loop) -> None:
 def test_a_frame_without_a_request_does_not_count(loop: Loop) -> None:
     for frame in range(2 * STEADY_FRAMES):
         counts = {"frame": frame, "agents": ["rsu-0"], "complete": True}
-        loop.say("lanes", m.LaneCounts.model_construct(**counts))
+        loop.publish("lanes", m.LaneCounts.model_construct(**counts))
     assert loop.health.right_since_ns is None
 
 

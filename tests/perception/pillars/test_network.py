@@ -1,4 +1,4 @@
-"""The network as it is asked, and its weights' file."""
+"""Inference with the network, and its weight file."""
 
 from __future__ import annotations
 
@@ -60,12 +60,12 @@ def test_the_engine_says_what_the_network_says() -> None:
     pillars = pillars_of(points, points[:, 2].copy(), window, TINY)
     batch = Batch.of([pillars, pillars], (64, 64), CPU)
     with torch.inference_mode():
-        said = made(batch.features, batch.pillar, batch.cell, batch.shape)
+        outputs = made(batch.features, batch.pillar, batch.cell, batch.shape)
         engine = Engine(network(), CPU, half=False)
         for _ in range(2):  # nothing is left of what was asked before
             known, cells = engine.encode(points, points[:, 2].copy(), window)
             again = engine.head(known, [Seen(np.arange(len(cells)), cells)] * 2, (64, 64))
-            torch.testing.assert_close(again, said, rtol=1e-4, atol=1e-4)
+            torch.testing.assert_close(again, outputs, rtol=1e-4, atol=1e-4)
 
 
 def test_a_batch_keeps_windows_apart() -> None:
@@ -77,11 +77,11 @@ def test_a_batch_keeps_windows_apart() -> None:
         parts.append(pillars_of(points, points[:, 2].copy(), window, TINY))
     with torch.inference_mode():
         both = Batch.of(parts, (64, 64), CPU)
-        said = made(both.features, both.pillar, both.cell, both.shape)
+        outputs = made(both.features, both.pillar, both.cell, both.shape)
         for number, part in enumerate(parts):
             one = Batch.of([part], (64, 64), CPU)
             alone = made(one.features, one.pillar, one.cell, one.shape)
-            torch.testing.assert_close(said[number : number + 1], alone)
+            torch.testing.assert_close(outputs[number : number + 1], alone)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def spoilt(path: Path, how: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("how", "said"),
+    ("how", "error_text"),
     [
         ("bytes", "weights .*"),
         ("another file", "format 'other', needs 'cpnet-pillars-1'"),
@@ -149,11 +149,13 @@ def spoilt(path: Path, how: str) -> None:
         ("gone", "there is no such file"),
     ],
 )
-def test_weights_that_cannot_be_right_are_refused(tmp_path: Path, how: str, said: str) -> None:
+def test_weights_that_cannot_be_right_are_refused(
+    tmp_path: Path, how: str, error_text: str
+) -> None:
     path = tmp_path / "w.safetensors"
     save(network(), path, {})
     spoilt(path, how)
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=error_text):
         load(path)
 
 

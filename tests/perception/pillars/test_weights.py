@@ -110,11 +110,11 @@ def refused(name: str, path: Path | None) -> str:
 @pytest.mark.parametrize("how", SPOILT)
 def test_what_is_wrong_with_a_file_is_said_with_its_name(tmp_path: Path, how: str) -> None:
     path = tmp_path / "own.safetensors"
-    spoil, said = SPOILT[how]
+    spoil, error_text = SPOILT[how]
     spoil(path)
     message = refused("pointpillars", path)
     assert message.startswith(f"weights {path}: ")
-    assert said in message
+    assert error_text in message
     assert len(message) < 400 + len(str(path))
 
 

@@ -20,7 +20,7 @@ from studies.page.model import MapChart, Page, Section, flattened
 from studies.page.write import to_markdown
 from tests.roads import junction_road
 from tests.studies.accuracy.small import small
-from tests.studies.made_samples import Told, car, scene_sample
+from tests.studies.made_samples import ScriptedDetector, car, scene_sample
 
 SEEN, MISSED, HIDDEN, AWAY = car(-30, 1.75), car(20, -1.75), car(30, 1.75), car(-80, 1.75)
 
@@ -28,7 +28,7 @@ SEEN, MISSED, HIDDEN, AWAY = car(-30, 1.75), car(20, -1.75), car(30, 1.75), car(
 @pytest.fixture
 def view(monkeypatch: pytest.MonkeyPatch):
     """Two scans in which one car is found twice and one never; a third has no points."""
-    monkeypatch.setattr(evaluate, "detector_of", lambda *_: Told([SEEN, car(0, 1.75)]))
+    monkeypatch.setattr(evaluate, "detector_of", lambda *_: ScriptedDetector([SEEN, car(0, 1.75)]))
     points_on = [[50, 9, 1, 50], [50, 0, 0, 50]]
     sample = scene_sample([SEEN, MISSED, HIDDEN, AWAY], points_on, None)
     return shown_sample(Site(junction_road(), EdgeConfig()), sample, "fast")

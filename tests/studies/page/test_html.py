@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from studies.page.model import Chart, Colours, Page, Section, Series, Text
 from studies.page.plotting import draw_chart
 from studies.page.write import to_html
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 DRAWN = 8
@@ -108,7 +108,7 @@ def test_a_browser_draws_every_chart(html: str, tmp_path: Path) -> None:
     options = ["--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'own'}"]
     done = subprocess.run(
         [str(CHROMIUM), *options, "--virtual-time-budget=5000", "--dump-dom", page.as_uri()],
-        capture_output=True, text=True, timeout=PATIENCE_S, check=True,
+        capture_output=True, text=True, timeout=TIMEOUT_S, check=True,
     )  # fmt: skip
     assert f"<title>drawn {DRAWN}</title>" in done.stdout
 

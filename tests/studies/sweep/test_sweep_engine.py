@@ -18,13 +18,13 @@ from distributed import get_worker
 from studies.sweep.cluster import local, remote, usable_cores
 from studies.sweep.engine import Engine, missing
 from studies.sweep.worker import Outcome, in_own_folder
-from tests.waiting import PATIENCE_S
+from tests.waiting import TIMEOUT_S
 
 pytestmark = pytest.mark.process
 
 
-class Told:
-    """A watcher that remembers."""
+class RecordingListener:
+    """A progress listener that records calls."""
 
     def __init__(self):
         self.running, self.done, self.most = set(), [], 0
@@ -63,17 +63,19 @@ def client():
 
 
 def run(client, store, seeds):
-    told = Told()
+    listener = RecordingListener()
     cells = [cell(seed) for seed in seeds]
-    failures = Engine(client, store, told, keep_runs=False, work=work).run(missing(cells, store))
-    return told, {failure.cell.seed: failure.reason for failure in failures}
+    failures = Engine(client, store, listener, keep_runs=False, work=work).run(
+        missing(cells, store)
+    )
+    return listener, {failure.cell.seed: failure.reason for failure in failures}
 
 
 def test_a_worker_has_one_core_and_one_cell_at_a_time(client, store):
-    told, failures = run(client, store, range(8))
+    listener, failures = run(client, store, range(8))
     assert not failures
-    assert sorted(told.done) == list(range(8))
-    assert told.most <= 2
+    assert sorted(listener.done) == list(range(8))
+    assert listener.most <= 2
     rows = [store.row(cell(seed).id) for seed in range(8)]
     assert {row["cores"] for row in rows} == {1}
     assert os.getpid() not in {row["pid"] for row in rows}
@@ -81,9 +83,9 @@ def test_a_worker_has_one_core_and_one_cell_at_a_time(client, store):
 
 
 def test_cells_that_fail_are_named_and_the_others_go_on(client, store):
-    told, failures = run(client, store, [13, 1, 14, 2])
+    listener, failures = run(client, store, [13, 1, 14, 2])
     assert failures == {13: "thirteen cannot be", 14: "ZeroDivisionError: fourteen"}
-    assert sorted(told.done) == [1, 2]
+    assert sorted(listener.done) == [1, 2]
     left = sorted(path.name for path in (store.folder / "cells").glob("*.failed.txt"))
     assert left == sorted(f"{cell(seed).id}.failed.txt" for seed in (13, 14))
     assert (
@@ -93,14 +95,14 @@ def test_cells_that_fail_are_named_and_the_others_go_on(client, store):
 
 def test_a_failed_cell_is_tried_again_and_a_finished_one_is_not(client, store):
     run(client, store, [13, 1])
-    told, failures = run(client, store, [13, 1, 2])
-    assert told.done == [2]
+    listener, failures = run(client, store, [13, 1, 2])
+    assert listener.done == [2]
     assert list(failures) == [13]
 
 
 def test_a_worker_that_dies_takes_only_its_own_cell_with_it(client, store):
-    told, failures = run(client, store, [1, 15, 2, 3])
-    assert sorted(told.done) == [1, 2, 3]
+    listener, failures = run(client, store, [1, 15, 2, 3])
+    assert sorted(listener.done) == [1, 2, 3]
     assert "was killed" in failures[15]
 
 
@@ -127,7 +129,7 @@ def where():
 
 
 def test_a_run_is_written_where_dask_tidies_up_after_a_killed_worker(client):
-    folder, own = client.submit(where, pure=False).result(timeout=PATIENCE_S)
+    folder, own = client.submit(where, pure=False).result(timeout=TIMEOUT_S)
     assert folder.startswith(f"{own}/")
     assert not Path(folder).exists()
     with in_own_folder() as elsewhere:

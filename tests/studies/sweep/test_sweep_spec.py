@@ -43,14 +43,17 @@ def test_axes_at_the_top_are_one_grid_named_all(tmp_path):
 
 
 def test_an_unknown_key_is_named_with_those_allowed(tmp_path):
-    said = refused(tmp_path, GOOD + "sedes: [1]")
-    assert "unknown key sedes" in said
-    assert "a study allows: name, title, scenario, set, seeds, grids, accuracy, page, axes" in said
+    error_text = refused(tmp_path, GOOD + "sedes: [1]")
+    assert "unknown key sedes" in error_text
+    assert (
+        "a study allows: name, title, scenario, set, seeds, grids, accuracy, page, axes"
+        in error_text
+    )
 
 
 def test_an_unknown_key_of_a_grid_is_named_with_its_place(tmp_path):
-    said = refused(tmp_path, "{name: a, grids: [{name: b, axis: {seed: [1]}}]}")
-    assert "unknown key axis in grids.0.axis; a grid allows: name, set, axes" in said
+    error_text = refused(tmp_path, "{name: a, grids: [{name: b, axis: {seed: [1]}}]}")
+    assert "unknown key axis in grids.0.axis; a grid allows: name, set, axes" in error_text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What people are told while a study runs."""
+"""The progress display of a study."""
 
 from __future__ import annotations
 
@@ -37,24 +37,24 @@ def test_the_time_left_follows_from_cells_done_and_sinks_while_one_waits(monkeyp
 
 
 def test_without_a_terminal_there_is_a_line_for_each_cell_and_each_failure():
-    said = io.StringIO()
-    with ProgressDisplay(Console(file=said, width=40), todo=2, kept=3) as display:
+    printed = io.StringIO()
+    with ProgressDisplay(Console(file=printed, width=40), todo=2, kept=3) as display:
         display.started(cell(1, rate=0.5))
         display.finished(cell(1, rate=0.5))
         display.failed(Failure(cell(2, name="[/x]"), "no [such] thing"))
         display.idle(0)
         display.idle(0)
-    first, second, third = said.getvalue().splitlines()
+    first, second, third = printed.getvalue().splitlines()
     assert first.startswith("4/5  all rate=0.5 seed=1  ")
     assert second == "failed  all name=[/x] seed=2: no [such] thing"
     assert third == "no worker is connected; the study goes on once one is"
 
 
 def test_a_terminal_shows_a_bar_with_what_runs():
-    said = io.StringIO()
-    console = Console(file=said, width=100, force_terminal=True, color_system=None)
+    printed = io.StringIO()
+    console = Console(file=printed, width=100, force_terminal=True, color_system=None)
     with ProgressDisplay(console, todo=3, kept=1) as display:
         for seed in (1, 2, 3):
             display.started(cell(seed, name="[/x]"))
-    assert "1/4" in said.getvalue()
-    assert "all name=[/x] seed=1; all name=[/x] seed=2 and 1 more" in said.getvalue()
+    assert "1/4" in printed.getvalue()
+    assert "all name=[/x] seed=1; all name=[/x] seed=2 and 1 more" in printed.getvalue()
