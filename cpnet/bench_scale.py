@@ -28,6 +28,7 @@ from cpnet.supervisor import LIST_NAME
 from cpnet.up import up
 from protocol.errors import ConfigError
 from protocol.instances import role_of
+from recording.latency_breakdown import EDGE_STAGES
 from recording.run import Run
 from recording.tables import FrameRow, LatencyRow
 from studies.bench import JsonRow, empty_table, print_whole
@@ -222,7 +223,7 @@ class ProcessMeter:
             self._memory.setdefault(name, []).append((now_ns, size))
 
 
-_EDGE_STAGES = ("decode", "place", "check", "merge", "ground", "detect", "fuse", "count")
+_EDGE_STAGES_BY_AGENT = ("decode", "place")
 
 
 def _parts_ms(bench: ScaleBench, junctions: int, folder: Path) -> dict[str, float]:
@@ -233,9 +234,8 @@ def _parts_ms(bench: ScaleBench, junctions: int, folder: Path) -> dict[str, floa
         rows = [row for row in run.rows(LatencyRow) if row.frame >= WARM_FRAMES]
     own = {stage: sum(getattr(row, f"{stage}_ns") for row in rows) for stage in ("sense", "encode")}
     shared = {(row.frame, row.region): row for row in rows}.values()
-    by_agent, by_frame = _EDGE_STAGES[:2], _EDGE_STAGES[2:]
-    edge = sum(getattr(row, f"{stage}_ns") for row in rows for stage in by_agent)
-    edge += sum(getattr(row, f"{stage}_ns") for row in shared for stage in by_frame)
+    edge = sum(getattr(row, f"{stage}_ns") for row in rows for stage in _EDGE_STAGES_BY_AGENT)
+    edge += sum(getattr(row, f"{stage}_ns") for row in shared for stage in EDGE_STAGES)
     return {
         name: total / len(rows) / 1e6
         for name, total in (("cast", own["sense"]), ("encode", own["encode"]), ("edge", edge))
