@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, start_http_server
 
 from cpnet.limits import MAX_PROCESSES, MAX_REASONS, MAX_REGIONS, MAX_SIGNALS, MAX_STAGES
-from cpnet.processes import ProcessEntry
-from cpnet.watch import ProcessKey
+from cpnet.processes import ProcessEntry, ProcessKey
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope, Presence
 from protocol.instances import region_of

@@ -50,6 +50,10 @@ AGENTS = {"vehicle": "vehicle", "infra": "roadside"}
 """Roles whose connections a relay may shape, with the names of their links."""
 
 
+ProcessKey = tuple[str, str]
+"""Role and id of a process."""
+
+
 @dataclass(frozen=True, slots=True)
 class ProcessEntry:
     """One process to start."""

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from cpnet.limits import MAX_BATCH, MAX_UNEXPECTED, MAX_WAITING_METRICS
+from cpnet.processes import ProcessKey
 from cpnet.scenario import Scenario
 from protocol.bus import Endpoint, open_bus
 from protocol.inbox import Envelope, Inbox, Presence
@@ -17,10 +18,6 @@ from protocol.topics import BusName
 
 if TYPE_CHECKING:
     from cpnet.metrics_page import RunMetrics  # prometheus_client: only runs with --metrics need it
-
-
-ProcessKey = tuple[str, str]
-"""Role and id of a process."""
 
 
 def all_processes(scenario: Scenario) -> set[ProcessKey]:
