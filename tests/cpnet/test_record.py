@@ -31,7 +31,7 @@ from recording.tables import (
 from tests.cpnet.commands import children_of
 
 
-def test_a_tape_holds_what_the_database_was_made_of(shell):
+def test_a_recording_holds_the_messages_that_the_database_was_made_of(shell):
     status, output = shell.up("--duration=5", "--record", "--out=run").finish()
     assert status == 0, output
     assert "sim, record, mcap, edge, signal" in output
@@ -71,7 +71,7 @@ def drops_on(path: Path) -> int:
     return sum(json.loads(closing[0].metadata["drops"]).values())
 
 
-def test_a_dead_tape_stops_no_city(shell):
+def test_the_run_goes_on_when_the_mcap_recorder_is_killed(shell):
     command = shell.up("--mode=realtime", "--duration=20", "--record", "--out=run")
     command.read_until("vehicles")
     run_dir = shell.folder / "run"
@@ -90,7 +90,7 @@ def test_a_dead_tape_stops_no_city(shell):
     assert not McapReader(run_dir).is_whole
 
 
-def test_a_tape_is_started_again_and_others_come_and_go(shell):
+def test_a_recording_is_started_again_and_others_come_and_go(shell):
     run_dir = shell.folder / "runs" / "a"
     options = ["--duration=600", "--mode=realtime", "--restart", "--record", f"--out={run_dir}"]
     command = shell.up(*options)
@@ -135,7 +135,7 @@ def test_a_tape_is_started_again_and_others_come_and_go(shell):
         (["up", "--only=router,sim,edge,mcap"], "--only mcap: the scenario has record.mcap false"),
     ],
 )
-def test_what_cannot_be_taped_is_said(shell, arguments, error_text):
+def test_what_cannot_be_recorded_is_said(shell, arguments, error_text):
     status, output = shell.run(*arguments)
     assert (status, "Traceback" in output) == (2, False)
     assert error_text in output

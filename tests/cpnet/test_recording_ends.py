@@ -16,7 +16,7 @@ from protocol.bus import Endpoint
 from protocol.errors import ConfigError, CpnetError
 from protocol.inbox import Inbox
 from protocol.observer import ALL_TOPICS
-from tests.recording.cassette import envelope, setup
+from tests.recording.mcap_rig import envelope, setup
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")
 

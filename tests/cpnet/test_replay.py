@@ -93,7 +93,7 @@ def test_edge_and_signal_may_be_elsewhere(shell, recorded):
     assert differences(recorded, shell.folder / "here") == []
 
 
-def test_a_replay_is_begun_where_the_tape_is(shell, recorded):
+def test_a_replay_is_begun_where_the_recording_is(shell, recorded):
     status, output = shell.run("replay", str(recorded), "--only=edge")
     assert (status, "a replay is begun where the role sim runs" in output) == (2, True)
 
@@ -113,7 +113,9 @@ def test_over_a_slower_link_less_is_sent(tmp_path, recorded):
     assert 0 < sent[1] < sent[0]
 
 
-def test_of_a_tape_that_was_cut_off_all_are_told_and_it_is_counted_once(tmp_path, recorded, capsys):
+def test_of_a_recording_that_was_cut_off_all_are_told_and_it_is_counted_once(
+    tmp_path, recorded, capsys
+):
     whole = (recorded / "run.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
@@ -147,7 +149,7 @@ def test_another_detector_finds_others_in_the_same_scans(tmp_path, recorded):
         assert (rows(other, table) == before) is is_same
 
 
-def test_in_realtime_a_tape_goes_as_fast_as_asked(shell, recorded):
+def test_in_realtime_a_recording_goes_as_fast_as_asked(shell, recorded):
     status, output = shell.run("replay", str(recorded), "--speed=2", "--set=link.profile=none",
                                "--set=link.roadside_profile=none", "--out=fast")  # fmt: skip
     assert status == 0, output

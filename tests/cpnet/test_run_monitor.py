@@ -84,7 +84,7 @@ class Dying:
 @pytest.mark.parametrize(("name", "has_begun", "ends"), [
     ("mcap", True, False), ("mcap", False, True), ("edge", True, True),
 ])  # fmt: skip
-def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_tapes(
+def test_a_death_that_comes_at_an_odd_moment_ends_the_run_unless_it_is_a_recordings(
     name, has_begun, ends
 ):
     failure = ExitReport(name, "was killed by SIGKILL", "")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clips import REGION, item, pose, roster, scan
+from frame_messages import REGION, item, pose, roster, scan
 from hypothesis import given
 from hypothesis import strategies as st
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import msgpack
 import numpy as np
 import pytest
-from cassette import writer_in
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from mcap_rig import writer_in
 
 from protocol import messages as m
 from protocol import wire
@@ -304,7 +304,7 @@ def test_what_cannot_be_read_is_left_out_and_ends_no_frame(tmp_path):
     assert len(found["foxglove/v2x/detections"]) == 1
 
 
-def test_of_a_tape_that_was_cut_there_is_what_can_be_read(tmp_path, monkeypatch):
+def test_of_a_recording_that_was_cut_there_is_what_can_be_read(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "CHUNK_BYTES", 1000)
     recording = Recording(tmp_path)
     recording.record_frames(*range(FRAMES))
@@ -316,7 +316,7 @@ def test_of_a_tape_that_was_cut_there_is_what_can_be_read(tmp_path, monkeypatch)
     assert 0 < made.frames < FRAMES
 
 
-def test_a_translation_is_no_part_of_the_tape_and_itself_translates_to_nothing(tmp_path):
+def test_a_translation_is_no_part_of_the_recording_and_itself_translates_to_nothing(tmp_path):
     recording = Recording(tmp_path)
     recording.record_frames(0)
     (made,) = recording.convert().files

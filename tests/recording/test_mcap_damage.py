@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 
 import pytest
 import zstandard
-from cassette import envelope, same, setup, writer_in
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
+from mcap_rig import envelope, same, setup, writer_in
 
 from protocol.errors import ConfigError
 from protocol.wire import MAGIC as WIRE_MAGIC
@@ -87,12 +87,12 @@ def test_the_example_has_a_chunk_for_each_second():
 
 
 @pytest.mark.parametrize("at", [0, 1, 8, 9, *EDGES, len(WHOLE) - 1, len(WHOLE)])
-def test_a_tape_cut_at_the_edge_of_a_chunk_gives_those_before(at):
+def test_a_recording_cut_at_the_edge_of_a_chunk_gives_those_before(at):
     check_cut(at)
 
 
 @given(st.integers(0, len(WHOLE)))
-def test_a_tape_cut_anywhere_gives_all_complete_chunks(at):
+def test_a_recording_cut_anywhere_gives_all_complete_chunks(at):
     check_cut(at)
 
 
@@ -129,7 +129,7 @@ def test_a_bad_message_alone_is_left_out(tmp_path):
 @settings(max_examples=200)
 @given(st.binary(max_size=300), st.booleans())
 @example(b"", True)
-def test_garbage_is_no_tape(data, has_magic):
+def test_garbage_is_no_recording(data, has_magic):
     with pytest.raises(ConfigError, match=r"cut\.mcap"):
         read(MAGIC * has_magic + data)
 
@@ -187,7 +187,7 @@ def test_a_bomb_takes_no_memory(name):
     assert most < 80 << 20
 
 
-def test_a_tape_whose_setup_is_bad_is_refused(tmp_path):
+def test_a_recording_whose_setup_is_bad_is_refused(tmp_path):
     path = tmp_path / "run.mcap"
     with path.open("wb") as file:
         other = Writer(file, compression=CompressionType.ZSTD)
@@ -208,7 +208,7 @@ def test_a_file_of_another_system_is_refused(tmp_path):
         McapReader(path)
 
 
-def test_what_is_no_tape_is_named(tmp_path):
+def test_what_is_no_recording_is_named(tmp_path):
     with pytest.raises(ConfigError, match="there is no such recording"):
         McapReader(tmp_path / "missing")
     with pytest.raises(ConfigError, match=r"no run\.mcap in it; `cpnet up --record`"):

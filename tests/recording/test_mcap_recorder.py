@@ -7,10 +7,10 @@ import threading
 import time
 
 import pytest
-from cassette import envelope, setup
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap_rig import envelope, setup
 
 from protocol.in_process import InProcessRouter
 from protocol.inbox import Envelope, Inbox, Presence
@@ -86,7 +86,7 @@ def test_the_messages_of_all_regions_are_kept(tmp_path):
     writing.close()
 
 
-def test_the_tape_says_at_its_end_what_came_of_it(tmp_path):
+def test_the_recording_says_at_its_end_what_came_of_it(tmp_path):
     inbox = Inbox()
     writing = McapRecorder(
         setup(), lambda: next_file(tmp_path), inbox, threading.Event(), truth=True
@@ -121,7 +121,7 @@ def test_what_nobody_could_read_is_not_kept_and_the_rest_as_it_came(tmp_path):
     assert (writing.dropped, recording.drops.total()) == (3, 0)
 
 
-def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch):
+def test_who_never_falls_silent_keeps_no_recording_from_ending(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder, "PATIENCE_NS", 1)
     inbox, stop = Inbox(), threading.Event()
     writing = McapRecorder(setup(), lambda: next_file(tmp_path), inbox, stop, truth=True)
@@ -134,7 +134,7 @@ def test_who_never_falls_silent_keeps_no_tape_from_ending(tmp_path, monkeypatch)
     writing.close()
 
 
-def test_a_tape_is_over_when_the_recorder_is_gone_and_nobody_speaks():
+def test_a_recording_is_over_when_the_recorder_is_gone_and_nobody_speaks():
     recorder = EndOfRecording()
     recorder.look(Presence("record", "record", alive=True, bus=BusName.WORLD), 0)
     recorder.received(5)
@@ -166,7 +166,7 @@ def test_without_a_world_nothing_more_is_awaited():
     assert recorder.is_over(7 + SILENCE_NS)
 
 
-def test_a_tape_outlives_the_edge_and_a_short_loss_of_the_world():
+def test_a_recording_outlives_the_edge_and_a_short_loss_of_the_world():
     recorder = EndOfRecording()
     recorder.look(Presence("record", "record", alive=True, bus=BusName.V2X), 0)
     for gone in ("edge", "record", "sim"):  # the edge's router goes, and all tokens with it

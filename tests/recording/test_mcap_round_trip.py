@@ -7,10 +7,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from cassette import envelope, recorded_messages, same, setup, writer_in
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap_rig import envelope, recorded_messages, same, setup, writer_in
 
 from protocol.errors import ConfigError, CpnetError
 from protocol.messages import MESSAGES
@@ -42,7 +42,7 @@ def test_all_that_was_heard_comes_back_as_it_came(recorded, wanted):
         assert recording.facts == {"name": "a test"}
 
 
-def test_a_tape_that_could_not_go_on_says_why_and_can_be_closed(tmp_path, monkeypatch):
+def test_a_recording_that_could_not_go_on_says_why_and_can_be_closed(tmp_path, monkeypatch):
     monkeypatch.setattr(writer_module, "MAX_CHUNKS", 0)
     paths = iter([tmp_path / "run.mcap", tmp_path / "gone" / "run-2.mcap"])
     writer = McapWriter(lambda: next(paths), setup(), {})
@@ -125,7 +125,7 @@ def test_what_is_much_is_in_the_file_at_once(tmp_path, monkeypatch):
     writer.close({})
 
 
-def test_a_tape_that_is_started_again_leaves_the_first_alone(tmp_path):
+def test_a_recording_that_is_started_again_leaves_the_first_alone(tmp_path):
     first, second = writer_in(tmp_path), writer_in(tmp_path)
     first.write(envelope("tick", 1))
     second.write(envelope("tick", 2))
@@ -136,7 +136,7 @@ def test_a_tape_that_is_started_again_leaves_the_first_alone(tmp_path):
     assert [item.received_ns for item in McapReader(tmp_path / "run-2.mcap").messages()] == [2]
 
 
-def test_a_long_tape_goes_on_in_another_file(tmp_path, monkeypatch):
+def test_a_long_recording_goes_on_in_another_file(tmp_path, monkeypatch):
     monkeypatch.setattr(writer_module, "MAX_CHANNELS", 3)
     recorded = [envelope("pose", n, f"agent {n % 7}") for n in range(40)]
     writer = writer_in(tmp_path)
@@ -174,7 +174,7 @@ def test_a_file_that_is_there_is_not_written_over(tmp_path):
     assert path.read_bytes() == b"dear to me"
 
 
-def test_a_full_disk_ends_a_tape_by_name(tmp_path, monkeypatch):
+def test_a_full_disk_ends_a_recording_by_name(tmp_path, monkeypatch):
     writer = writer_in(tmp_path)
     writer.write(envelope("tick", 1))
 

@@ -1,7 +1,7 @@
 """The player role on in-process buses: the recorded messages, on this run's link."""
 
 import pytest
-from clips import Rig, of, pose, roster, scan, state
+from frame_messages import Rig, of, pose, roster, scan, state
 
 from protocol import messages as m
 
@@ -55,7 +55,7 @@ def test_what_the_agents_work_took_stays_and_its_end_is_now():
     rig.role.close()
 
 
-def test_a_frame_that_the_tape_lacks_is_one_without_agents():
+def test_a_frame_that_the_recording_lacks_is_one_without_agents():
     rig = Rig([one for one in frames(5) if one.topic == "state" or one.message.frame != 2])
     published = [of(m.Roster, rig.play(frame))[0].agents for frame in range(5)]
     assert published == [["a", "b"], ["a", "b"], [], ["a", "b"], ["a", "b"]]

@@ -1,7 +1,7 @@
 """A recording frame by frame, whatever order its messages came in."""
 
 import pytest
-from clips import roster, scan, state, tick
+from frame_messages import roster, scan, state, tick
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -41,7 +41,7 @@ def test_a_frame_that_cannot_be_does_not_pass_for_the_present():
     assert recording.absurd == 1
 
 
-def test_of_a_long_tape_only_what_is_near_is_read():
+def test_of_a_long_recording_only_what_is_near_is_read():
     read = []
 
     def messages():
@@ -53,7 +53,7 @@ def test_of_a_long_tape_only_what_is_near_is_read():
     assert len(read) <= 100 + MAX_FRAMES_AHEAD + 2
 
 
-def test_a_tape_that_begins_in_mid_frame_begins_with_the_first_whole_one():
+def test_a_recording_that_begins_in_mid_frame_begins_with_the_first_whole_one():
     messages = [scan(499, "a"), tick(500), state(500), roster(500, ["a"]), state(501), tick(501)]
     assert RecordedFrames(messages).first("tick", "state") == 500
     assert RecordedFrames([]).first("tick") is None

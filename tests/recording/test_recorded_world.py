@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clips import bodies, item, scan, state, tick
+from frame_messages import bodies, item, scan, state, tick
 
 from protocol.errors import ConfigError
 from protocol.messages import Trip, Trips, Truth
@@ -94,6 +94,6 @@ def test_journeys_end_in_their_frame():
     assert world.unfinished_trips() == []
 
 
-def test_a_tape_without_a_frame_is_refused():
+def test_a_recording_without_a_frame_is_refused():
     with pytest.raises(ConfigError, match="holds no frame"):
         world_of([scan(0, "a")])
