@@ -113,13 +113,13 @@ def _rows_of(folder: str) -> str:
     return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
 
 
-def _loop(city: str, *nets: str, minutes: int) -> Figure:
-    """Returns control on perception beside tuned baselines, on RESCO's nets of a city."""
+def _loop(name: str, *nets: str, minutes: int) -> Figure:
+    """Returns control on perception beside tuned baselines, on some of RESCO's nets."""
     chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
     return Figure(
-        f"loop-{city}",
+        f"loop-{name}",
         f"{_needs_resco(*nets)}cpnet study $ROOT/docs/figures/loop_resco.yaml "
-        f"--set name=loop_{city} --set 'nets={{{chosen}}}' --out loop_{city} --json",
+        f"--set name=loop_{name} --set 'nets={{{chosen}}}' --out loop_{name} --json",
         (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
         minutes,
         (Part("all", "docs/city.md", comparison.loop),),
@@ -409,7 +409,8 @@ _LIST = (
         (Part("all", "docs/control.md", comparison.tuned),),
     ),
     _loop("cologne", "cologne1", "cologne3", minutes=30),
-    _loop("ingolstadt", "ingolstadt1", "ingolstadt7", minutes=35),
+    _loop("ingolstadt1", "ingolstadt1", minutes=15),
+    _loop("ingolstadt7", "ingolstadt7", minutes=30),
     Figure(
         "reports",
         "for demand in 1 1.4; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
