@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import lap
 import numpy as np
 from numba import njit
 
 from perception.arrays import Bools, Bytes, Floats, Ints
+from perception.tracking.assignment import assign
 from protocol.messages import ObjectClass
 
 PERSON = int(ObjectClass.PEDESTRIAN)
@@ -50,27 +50,12 @@ def associate(
     if not len(box):
         return result, jumped
     limit = max(ALONE_COST - cost.min(), LEAST_LIMIT)
-    cost -= cost.min()
     part = _parts(box, track, len(boxes), len(mean))
     order = np.argsort(part, kind="stable")
-    starts = np.flatnonzero(np.diff(part[order], prepend=-1))
-    ends = np.append(starts[1:], len(order))
-    single = order[starts[ends - starts == 1]]
-    result[box[single]], jumped[box[single]] = track[single], jumps[single]
-    for start, end in zip(starts, ends, strict=True):
-        if end - start == 1:
-            continue
-        chosen = order[start:end]
-        rows, row = np.unique(box[chosen], return_inverse=True)
-        columns, column = np.unique(track[chosen], return_inverse=True)
-        costs = np.full((len(rows), len(columns)), 4 * limit)
-        costs[row, column] = cost[chosen]
-        is_jump = np.zeros(costs.shape, np.bool_)
-        is_jump[row, column] = jumps[chosen]
-        _, of_row, _ = lap.lapjv(costs, extend_cost=True, cost_limit=limit)
-        is_paired = of_row >= 0
-        result[rows[is_paired]] = columns[of_row[is_paired]]
-        jumped[rows[is_paired]] = is_jump[is_paired, of_row[is_paired]]
+    ends = np.flatnonzero(np.diff(part[order], append=-1)) + 1
+    chosen = _cheapest(box[order], track[order], (cost - cost.min())[order], ends, limit)
+    pairs = order[chosen]
+    result[box[pairs]], jumped[box[pairs]] = track[pairs], jumps[pairs]
     return result, jumped
 
 
@@ -116,12 +101,16 @@ def _pairs(
     jumps = np.empty(room, np.bool_)
     count = 0
     jump2 = jump_std[0] ** 2 + jump_std[1] ** 2
+    by_x = np.argsort(boxes[:, 0])
+    sorted_x, most_std2 = boxes[by_x, 0], (std[:, 0] ** 2).max()
     for n in range(mean.shape[0]):
         p = covariance[n]
         jump_xx, jump_yy, jump_xy = _spread(mean[n, 2], jump_std[0], jump_std[1])
         reach2 = gate * (p[0, 0] + p[1, 1] + jump2 + 2.0)
         doubt = -2 * np.log(max(traits[n, 2], 1e-3)) + (0.0 if traits[n, 3] else UNSURE_COST)
-        for m in range(boxes.shape[0]):
+        far = np.sqrt(reach2 + gate * most_std2)
+        first = np.searchsorted(sorted_x, mean[n, 0] - far)
+        for m in by_x[first : np.searchsorted(sorted_x, mean[n, 0] + far, side="right")]:
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
             if x * x + y * y > reach2 + gate * std[m, 0] ** 2:
                 continue
@@ -168,6 +157,43 @@ def _parts(box: Ints, track: Ints, boxes: int, tracks: int) -> Ints:
             a = root[a]
         part[pair] = a
     return part
+
+
+@njit(
+    "boolean[::1](int64[::1], int64[::1], float64[::1], int64[::1], float64)",
+    cache=True,
+)
+def _cheapest(box: Ints, track: Ints, cost: Floats, ends: Ints, limit: float) -> Bools:
+    """Marks the pairs of the assignment of least cost, part by part; each part ends at `ends`.
+
+    The only pair of a part is always of it. In others a box stays alone for a cost of `limit`, and
+    costs are not negative.
+    """
+    chosen = np.zeros(len(box), np.bool_)
+    row_of, column_of = np.full(box.max() + 1, -1), np.full(track.max() + 1, -1)
+    start = 0
+    for end in ends:
+        if end - start == 1:
+            chosen[start] = True
+            start = end
+            continue
+        rows = columns = 0
+        for pair in range(start, end):
+            if row_of[box[pair]] < 0:
+                row_of[box[pair]] = rows
+                rows += 1
+            if column_of[track[pair]] < 0:
+                column_of[track[pair]] = columns
+                columns += 1
+        costs = np.full((rows, columns + rows), 4 * limit)
+        costs[:, columns:] = limit
+        for pair in range(start, end):
+            costs[row_of[box[pair]], column_of[track[pair]]] = cost[pair]
+        of_row = assign(costs)
+        for pair in range(start, end):
+            chosen[pair] = of_row[row_of[box[pair]]] == column_of[track[pair]]
+        start = end
+    return chosen
 
 
 def is_person(classes: Bytes) -> Floats:

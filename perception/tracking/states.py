@@ -82,4 +82,4 @@ class TrackStates:
     @property
     def boxes(self) -> Floats:
         """Returns them as boxes (N, 7)."""
-        return np.column_stack([self.mean[:, :2], self.dims, self.mean[:, 2]])
+        return np.concatenate([self.mean[:, :2], self.dims, self.mean[:, 2:3]], axis=1)

@@ -96,11 +96,14 @@ class Tracker:
         )
         self._correct(time_ns, observed, std, seen, pairs)
         lower_existence(self._states, time_ns, dt_s, visible, self._config)
-        self._states = self._states.take(self._states.existence >= self._config.min_existence)
+        exist = self._states.existence >= self._config.min_existence
+        if not exist.all():
+            self._states = self._states.take(exist)
         new = self._is_new(observed, pairs)
         self._locate(dt_s)
-        born = self._born(time_ns, observed.take(new), std[new], signals or {})
-        self._states = self._states + born
+        if new.any():
+            born = self._born(time_ns, observed.take(new), std[new], signals or {})
+            self._states = self._states + born
         self._last = self._published(time_ns)
         return self._last
 

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.optimize import linear_sum_assignment
 
 from perception.detector import LIDAR, Vehicles
+from perception.tracking.assignment import assign
 from perception.tracking.association import associate
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import GO, STOP, UNKNOWN, LaneGraph
@@ -178,6 +181,14 @@ def test_however_dear_all_pairs_are_none_outside_the_gates_is_chosen() -> None:
     std = np.full((2, 3), 0.3)
     found, _ = associate(mean, covariance, traits, boxes, std, np.array([1.5, 1.3]), 9.0)
     assert found[0] != 1  # 400 m away, where the gate is 180 m
+
+
+@given(hnp.arrays(np.float64, (5, 7), elements=st.floats(0, 9)), st.integers(0, 5))
+def test_an_assignment_costs_as_little_as_that_of_scipy(costs, rows) -> None:
+    columns = assign(np.ascontiguousarray(costs[:rows]))
+    assert len(set(columns.tolist())) == rows
+    best = costs[linear_sum_assignment(costs[:rows])].sum()
+    assert costs[np.arange(rows), columns].sum() == pytest.approx(best)
 
 
 def test_two_vehicles_abreast_that_are_seen_as_one_across_the_road_drive_on() -> None:
