@@ -13,7 +13,7 @@ from perception.arrays import Floats, Ints
 
 @njit("int64[::1](float64[:,::1])", cache=True)
 def assign(costs: Floats) -> Ints:
-    """Returns a column of its own for each row (R,), so that the sum of `costs` (R, C) is the least.
+    """Returns a column of its own for each row (R,), so that their `costs` (R, C) add up to least.
 
     By shortest augmenting paths, row by row (Jonker and Volgenant 1987). There are as many columns
     as rows or more, and no cost is infinite.
@@ -21,7 +21,11 @@ def assign(costs: Floats) -> Ints:
     rows, columns = costs.shape
     row_price, column_price = np.zeros(rows), np.zeros(columns)
     of_column, of_row = np.full(columns, -1), np.full(rows, -1)
-    least, before, done = np.empty(columns), np.empty(columns, np.int64), np.empty(columns, np.bool_)
+    least, before, done = (
+        np.empty(columns),
+        np.empty(columns, np.int64),
+        np.empty(columns, np.bool_),
+    )
     for first in range(rows):
         least[:], before[:], done[:] = np.inf, -1, False
         row, column = first, -1
