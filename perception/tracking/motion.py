@@ -45,23 +45,43 @@ def deviations(observed: Vehicles, visible: SightLines | None) -> tuple[Floats, 
     a box's middle the nearest sensor stands, how far away it is, and 1 for an agent's own pose.
     """
     is_pose = np.array([source != LIDAR for source in observed.sources], np.bool_)
-    std = np.where(is_pose[:, None], POSE_STD, BOX_STD)
-    seen = np.zeros((len(observed), 3))
-    seen[:, 2] = is_pose
-    if visible is not None and len(visible.sensors):
-        apart = visible.sensors[:, :2] - observed.boxes[:, None, :2]
-        ranges = np.linalg.norm(apart, axis=2)
-        nearest = ranges.argmin(axis=1)
-        rows = np.arange(len(observed))
-        range_m = ranges[rows, nearest]
-        std[~is_pose, 0] += FAR_STD * np.maximum(range_m[~is_pose] - FAR_M, 0.0)
-        std[~is_pose & (range_m < NEAR_M), 0] = NEAR_STD
-        yaw = observed.boxes[:, 6]
-        to = apart[rows, nearest]
-        seen[:, 0] = np.where(is_pose, 0.0, np.cos(yaw) * to[:, 0] + np.sin(yaw) * to[:, 1])
-        seen[:, 1] = range_m
-    std[:, :2] = np.hypot(std[:, :2], observed.position_std_m[:, None])
-    return np.ascontiguousarray(std), seen
+    std, seen = np.empty((len(observed), 3)), np.zeros((len(observed), 3))
+    sensors = visible.sensors if visible is not None else np.zeros((0, 3))
+    _deviate(observed.boxes, observed.position_std_m, is_pose, sensors, std, seen)
+    return std, seen
+
+
+@njit(
+    "void(float64[:,:], float64[:], boolean[::1], float64[:,:], float64[:,::1], float64[:,::1])",
+    cache=True,
+)
+def _deviate(
+    boxes: Floats,
+    position_std_m: Floats,
+    is_pose: Bools,
+    sensors: Floats,
+    std: Floats,
+    seen: Floats,
+) -> None:
+    """Fills `std` and `seen` (N, 3), see `deviations`."""
+    for n in range(boxes.shape[0]):
+        std[n] = POSE_STD if is_pose[n] else BOX_STD
+        seen[n, 2] = is_pose[n]
+        range_m, ahead_m = np.inf, 0.0
+        for sensor in range(sensors.shape[0]):
+            x, y = sensors[sensor, 0] - boxes[n, 0], sensors[sensor, 1] - boxes[n, 1]
+            if np.sqrt(x * x + y * y) < range_m:
+                range_m = np.sqrt(x * x + y * y)
+                ahead_m = np.cos(boxes[n, 6]) * x + np.sin(boxes[n, 6]) * y
+        if range_m < np.inf:
+            seen[n, 1] = range_m
+            if not is_pose[n]:
+                seen[n, 0] = ahead_m
+                std[n, 0] += FAR_STD * max(range_m - FAR_M, 0.0)
+                if range_m < NEAR_M:
+                    std[n, 0] = NEAR_STD
+        for axis in range(2):
+            std[n, axis] = np.hypot(std[n, axis], position_std_m[n])
 
 
 _STATE = "float64[:,::1], float64[:,:,::1]"

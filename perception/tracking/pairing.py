@@ -120,13 +120,13 @@ def _assign(
     tracks = np.flatnonzero(unpaired(pairs, len(states)))
     if not len(boxes) or not len(tracks):
         return np.zeros(0, np.int64)
-    seen, person = observed.take(boxes), is_person(states.votes[tracks].argmax(axis=1))
+    person = is_person(states.votes[tracks].argmax(axis=1))
     length_m, existence = states.dims[tracks, 1], states.existence[tracks]
     found, jumped = associate(
         states.mean[tracks],
         states.covariance[tracks],
         np.column_stack([length_m, person, existence, confirmed[tracks]]),
-        np.column_stack([seen.boxes, is_person(seen.classes)]),
+        np.column_stack([observed.boxes[boxes], is_person(observed.classes[boxes])]),
         std[boxes],
         jump_std,
         gate,

@@ -273,12 +273,15 @@ class Tracker:
             seen[(lane >= 0) & (states.covariance[seen, 3, 3] < CRUISE_STD_MPS**2)], dt_s
         )
         sure = (lane >= 0) & (along_m > np.minimum(SURE_M, lanes.length_m[lane] / 2))
-        for n, new in zip(seen[sure].tolist(), lane[sure].tolist(), strict=True):
-            old = states.origin[n]
-            if old not in (-1, new):
+        places = seen[sure]
+        before, now = states.origin[places], lane[sure]
+        states.origin[places] = now
+        for old, new in zip(
+            before[before != now].tolist(), now[before != now].tolist(), strict=True
+        ):
+            if old >= 0:
                 ways = slice(lanes.leads[old], lanes.leads[old + 1])
                 self._trips[ways] += lanes.followers[ways] == new
-            states.origin[n] = new
 
     def _learn_speeds(self, known: Ints, dt_s: float) -> None:
         """Notes how fast some tracks on lanes drive, of which the speeds are known."""
