@@ -113,18 +113,26 @@ def _rows_of(folder: str) -> str:
     return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
 
 
-def _loop(name: str, *nets: str, minutes: int) -> Figure:
-    """Returns control on perception beside tuned baselines, on some of RESCO's nets."""
-    chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
+def _loop(name: str, study: str, nets: str, page: str, minutes: int, needs: str = "") -> Figure:
+    """Returns control on perception beside tuned baselines, on some of a study's nets."""
     return Figure(
         f"loop-{name}",
-        f"{_needs_resco(*nets)}cpnet study $ROOT/docs/figures/loop_resco.yaml "
-        f"--set name=loop_{name} --set 'nets={{{chosen}}}' --out loop_{name} --json",
+        f"{needs}cpnet study $ROOT/docs/figures/{study}.yaml "
+        f"--set name=loop_{name} --set 'nets={{{nets}}}' --out loop_{name} --json",
         (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
         minutes,
-        (Part("all", "docs/city.md", comparison.loop),),
+        (Part("all", page, comparison.loop),),
         of_rows=True,
     )
+
+
+def _loop_t(name: str, nets: str) -> Figure:
+    return _loop(name, "loop_t", nets, "docs/control.md", 45)
+
+
+def _loop_resco(name: str, *nets: str, minutes: int) -> Figure:
+    chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
+    return _loop(name, "loop_resco", chosen, "docs/city.md", minutes, _needs_resco(*nets))
 
 
 def _study_figures(
@@ -408,20 +416,24 @@ _LIST = (
         20,
         (Part("all", "docs/control.md", comparison.tuned),),
     ),
-    _loop("cologne", "cologne1", "cologne3", minutes=30),
-    _loop("ingolstadt1", "ingolstadt1", minutes=15),
-    _loop("ingolstadt7", "ingolstadt7", minutes=30),
+    _loop_t("t", "t_junction: [1]"),
+    _loop_t("t-busy", "t_junction: [1.4]"),
+    _loop_t("peak", "moving_peak: [1]"),
+    _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
+    _loop_resco("ingolstadt1", "ingolstadt1", minutes=15),
+    _loop_resco("ingolstadt7", "ingolstadt7", minutes=30),
     Figure(
         "reports",
-        "for demand in 1 1.4; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
-        "--policies predictive --reporting $share --demand $demand --seeds 5 --processes 2 --json; "
-        "done; printf '\\f'; cpnet bench control --policies webster --demand $demand --seeds 5 "
-        "--processes 2 --json; done",
+        _needs_resco("cologne1", "ingolstadt1") + "export OWN='--seeds 5 --processes 2 --json'; "
+        "for traffic in 't_junction --demand 1' 't_junction --demand 1.4' resco/cologne1 "
+        "resco/ingolstadt1; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
+        "--net $traffic --policies predictive --reporting $share $OWN; done; printf '\\f'; "
+        "cpnet bench control --net $traffic --policies webster $OWN; done",
         (
             *("sim_host", "protocol", "signal_controller", "studies/bench_control.py"),
             *(f"studies/control_{one}.py" for one in ("baselines", "case", "run")),
         ),
-        8,
+        40,
         (Part("delay", "docs/control.md", comparison.reports),),
         read=comparison.of_lists,
     ),

@@ -277,31 +277,36 @@ def of_lists(output: str) -> Rows:
 
 def reports(rows: Rows) -> Table:
     """Returns delay by the share of vehicles that are known, beside all of them and a timer."""
-    table = [["demand", "vehicles known", "delay, s", "more than if all were known, s", "%",
-              "queue off by, vehicles", "in its 90 % interval, %", "longest wait, s"]]  # fmt: skip
-    for demand in dict.fromkeys(row["demand"] for row in rows):
-        own = [row for row in rows if row["demand"] == demand]
-        whole = {
-            row["seed"]: row["delay_s"]
-            for row in own
-            if (row["policy"], row["reporting"]) == ("predictive", 1)
-        }
-        for policy, share in dict.fromkeys((row["policy"], row["reporting"]) for row in own):
-            part = [row for row in own if (row["policy"], row["reporting"]) == (policy, share)]
-            more = [row["delay_s"] - whole[row["seed"]] for row in part]
+    table = [["traffic", "vehicles known", "delay, s", "more than if all were known, s", "%",
+              "more than with `webster`, s", "queue off by, vehicles",
+              "in its 90 % interval, %", "longest wait, s"]]  # fmt: skip
+    for traffic in dict.fromkeys(_traffic(row) for row in rows):
+        by: dict[tuple[str, float], list[dict[str, Any]]] = {}
+        for row in rows:
+            if _traffic(row) == traffic:
+                by.setdefault((row["policy"], row["reporting"]), []).append(row)
+        whole, timer = (_by_seed(by[key]) for key in (("predictive", 1), ("webster", 1)))
+        for (policy, share), part in by.items():
+            delays_s = _by_seed(part)
             errors = [row["queue_error"] for row in part if row["queue_error"] is not None]
             inside = [row["queue_inside"] for row in part if row["queue_inside"] is not None]
-            is_whole = policy == "predictive" and share == 1
+            more = [delays_s[seed] - whole[seed] for seed in delays_s]
+            is_whole, is_timer = delays_s == whole, delays_s == timer
             table.append(
                 [
-                    f"x{demand:g}",
-                    f"{100 * share:g} %" if policy == "predictive" else f"none: `{policy}`",
-                    between([row["delay_s"] for row in part], 1),
+                    traffic,
+                    f"none: `{policy}`" if is_timer else f"{100 * share:g} %",
+                    between([*delays_s.values()], 1),
                     "" if is_whole else between(more, 1),
                     "" if is_whole else f"{100 * sum(more) / sum(whole.values()):.0f}",
+                    "" if is_timer else between([delays_s[s] - timer[s] for s in delays_s], 1),
                     fixed(mean(errors) if errors else None, 2),
                     fixed(mean(inside) if inside else None, 0, 100),
                     f"{max(row['waited_s'] for row in part):.0f}",
                 ]
             )
     return table
+
+
+def _by_seed(rows: Rows) -> dict[int, float]:
+    return {row["seed"]: row["delay_s"] for row in rows}
