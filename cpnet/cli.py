@@ -150,8 +150,12 @@ def draw_command(
     ] = None,
 ) -> None:
     """Draw the merged cloud of a frame with its boxes over the lanes."""
-    from studies.snapshot import draw_frame
-
+    try:
+        from studies.frame_picture import draw_frame
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"drawing needs {error.name} (extra `plot`): {to_install('plot')}"
+        ) from None
     run = run or newest_run()
     console.print(f"wrote {draw_frame(run, frame, png)}", highlight=False, soft_wrap=True)
 

@@ -12,10 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from perception.arrays import Floats
+from protocol.errors import ConfigError
 from protocol.roadmap import Lane, RoadMap
+from recording.run import Run
 from studies import palette
 from studies.outlines import borders, footprints, resampled, stands_out
-from studies.snapshot import Boxes, Snapshot
+from studies.snapshot import Boxes, Snapshot, load_snapshot
 
 _SHOWN_M = 58.0
 _VERGE_M = 13.0
@@ -272,3 +274,28 @@ def _grouped(number: int) -> str:
 
 def _shortened(name: str) -> str:
     return name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"
+
+
+def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
+    """Draws the merged cloud of a frame by agent, with boxes, truth, lanes and counts.
+
+    Returns the path of the picture.
+
+    Args:
+        run_dir: the run's folder.
+        frame: a frame whose uploads were recorded; None for the fullest of them.
+        png_path: the picture to write; None for `frame-N.png` in the run's folder.
+
+    Raises:
+        ConfigError: no such run or frame, or the file cannot be written.
+    """
+    if png_path is not None and png_path.suffix.lower() != ".png":
+        raise ConfigError(f"--png {png_path}: needs a name that ends in .png")
+    with Run(run_dir) as run:
+        snapshot = load_snapshot(run, frame)
+    path = png_path or run_dir / f"frame-{snapshot.row.frame}.png"
+    try:
+        save_picture(snapshot, path)
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written: {error}") from None
+    return path

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cpnet.cli import draw_command
 from protocol.codec import encode_cloud
 from protocol.errors import ConfigError
 from protocol.messages import Setup, VehicleType
@@ -18,7 +19,8 @@ from protocol.wire import encode
 from recording.database import Database
 from recording.run import SETUP_NAME, Run
 from recording.tables import CloudRow, CountRow, DetectionRow, FrameRow, PhaseRow, TruthRow
-from studies.snapshot import draw_frame, load_snapshot
+from studies.frame_picture import draw_frame
+from studies.snapshot import load_snapshot
 from tests.roads import WEST_TO_EAST
 
 FRAME = 7
@@ -65,7 +67,6 @@ def run_dir(tmp_path: Path) -> Path:
 
 
 def test_a_kept_frame_is_drawn_by_default(run_dir: Path) -> None:
-    pytest.importorskip("matplotlib")
     png = run_dir / "frame.png"
     draw_frame(run_dir, None, png)
     assert png.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -81,7 +82,6 @@ def test_of_the_kept_frames_the_fullest_is_chosen(run_dir: Path) -> None:
 
 
 def test_a_frame_with_nothing_but_a_cloud_is_drawn(run_dir: Path) -> None:
-    pytest.importorskip("matplotlib")
     draw_frame(run_dir, 2, run_dir / "frame.png")
     assert (run_dir / "frame.png").is_file()
 
@@ -122,11 +122,10 @@ def test_missing_matplotlib_names_what_to_install(
     for module in [m for m in sys.modules if m.startswith("studies.")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(ConfigError, match="pip install matplotlib"):
-        draw_frame(run_dir, None, run_dir / "frame.png")
+    with pytest.raises(ConfigError, match="pip install 'matplotlib"):
+        draw_command(run_dir)
 
 
 def test_an_unwritable_picture_is_a_clear_error(run_dir: Path) -> None:
-    pytest.importorskip("matplotlib")
     with pytest.raises(ConfigError, match="cannot be written"):
         draw_frame(run_dir, None, run_dir / "missing" / "frame.png")
