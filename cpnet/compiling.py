@@ -26,6 +26,7 @@ from importlib import import_module
 from importlib.metadata import version
 from itertools import count
 from pathlib import Path
+from typing import TextIO
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -62,9 +63,26 @@ def compile_ahead(console: Console | None = None) -> int:
     stamps = _stamps()
     if not _missing(folder, stamps):
         return 0
-    with (folder / _LOCK).open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # another process may be compiling the same
+    with (folder / _LOCK).open("a+") as lock:
+        _acquire(lock, console)
         return _compile_missing(folder, stamps, console)
+
+
+def _acquire(lock: TextIO, console: Console) -> None:
+    """Waits while another process compiles the same, and says which one that is."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.seek(0)
+        console.print(
+            f"waiting for process {lock.read()}: it compiles the same",
+            highlight=False,
+            soft_wrap=True,
+        )
+        fcntl.flock(lock, fcntl.LOCK_EX)
+    lock.truncate(0)
+    lock.write(str(os.getpid()))
+    lock.flush()
 
 
 def _compile_missing(folder: Path, stamps: dict[str, str], console: Console) -> int:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import io
 import os
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from rich.console import Console
 
 from cpnet import compiling
 from protocol.errors import ConfigError
+from tests.waiting import wait_until
 
 
 @pytest.fixture
@@ -112,6 +115,20 @@ def test_without_a_home_there_is_a_folder_that_only_the_user_may_write(
     folder.chmod(0o777)
     with pytest.raises(ConfigError, match="is another user's: set NUMBA_CACHE_DIR"):
         compiling.compile_ahead(Console(quiet=True))
+
+
+def test_who_waits_for_another_process_says_for_which(cache, compiled) -> None:
+    cache.mkdir()
+    written = io.StringIO()
+    with (cache / "compiling.lock").open("w") as lock, ThreadPoolExecutor() as pool:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        lock.write("4711")
+        lock.flush()
+        waiting = pool.submit(compiling.compile_ahead, Console(file=written))
+        wait_until(lambda: "waiting for process 4711: it compiles" in written.getvalue())
+        assert not compiled
+        fcntl.flock(lock, fcntl.LOCK_UN)
+        assert waiting.result() > 30
 
 
 @pytest.mark.slow
