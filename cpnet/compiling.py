@@ -74,9 +74,11 @@ def _acquire(lock: TextIO, console: Console) -> None:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         lock.seek(0)
+        owner = lock.read() or "another"
         console.print(
-            f"waiting for process {lock.read()}: it compiles the same",
+            f"waiting for process {owner}, which compiles the same modules",
             highlight=False,
+            markup=False,
             soft_wrap=True,
         )
         fcntl.flock(lock, fcntl.LOCK_EX)

@@ -1,8 +1,8 @@
 """Ray casting with Embree, in packets of eight rays: the distance to the first triangle.
 
 The package embreex ships Embree, but casts one ray at a time. This calls the library that it ships:
-eight neighbours at once take less than half of the time. Of sixteen Embree casts each alone where
-the processor lacks AVX-512.
+eight neighbours at once take less than half of the time. Packets of sixteen are for processors with
+AVX-512: on others Embree casts them ray by ray.
 """
 
 from __future__ import annotations

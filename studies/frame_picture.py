@@ -24,6 +24,31 @@ _VERGE_M = 13.0
 _LABEL_INSET_M = 4.0
 
 
+def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
+    """Draws the merged cloud of a frame by agent, with boxes, truth, lanes and counts.
+
+    Returns the path of the picture.
+
+    Args:
+        run_dir: the run's folder.
+        frame: a frame whose uploads were recorded; None for the fullest of them.
+        png_path: the picture to write; None for `frame-N.png` in the run's folder.
+
+    Raises:
+        ConfigError: no such run or frame, a picture that is no .png, or one that cannot be written.
+    """
+    if png_path is not None and png_path.suffix.lower() != ".png":
+        raise ConfigError(f"--png {png_path}: needs a name that ends in .png")
+    with Run(run_dir) as run:
+        snapshot = load_snapshot(run, frame)
+    path = png_path or run_dir / f"frame-{snapshot.row.frame}.png"
+    try:
+        save_picture(snapshot, path)
+    except OSError as error:
+        raise ConfigError(f"{path} cannot be written: {error}") from None
+    return path
+
+
 def draw_plan(axes: Axes, snapshot: Snapshot, colours: dict[str, str], aspect: float) -> None:
     """Draws the junction and its arms; `aspect` is the picture's width over its height."""
     low, high = _window(snapshot.road_map, aspect)
@@ -274,28 +299,3 @@ def _grouped(number: int) -> str:
 
 def _shortened(name: str) -> str:
     return name if len(name) <= _NAME_LETTERS else f"{name[: _NAME_LETTERS - 1]}…"
-
-
-def draw_frame(run_dir: Path, frame: int | None, png_path: Path | None) -> Path:
-    """Draws the merged cloud of a frame by agent, with boxes, truth, lanes and counts.
-
-    Returns the path of the picture.
-
-    Args:
-        run_dir: the run's folder.
-        frame: a frame whose uploads were recorded; None for the fullest of them.
-        png_path: the picture to write; None for `frame-N.png` in the run's folder.
-
-    Raises:
-        ConfigError: no such run or frame, or the file cannot be written.
-    """
-    if png_path is not None and png_path.suffix.lower() != ".png":
-        raise ConfigError(f"--png {png_path}: needs a name that ends in .png")
-    with Run(run_dir) as run:
-        snapshot = load_snapshot(run, frame)
-    path = png_path or run_dir / f"frame-{snapshot.row.frame}.png"
-    try:
-        save_picture(snapshot, path)
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written: {error}") from None
-    return path

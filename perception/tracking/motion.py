@@ -63,7 +63,7 @@ def _deviate(
     std: Floats,
     seen: Floats,
 ) -> None:
-    """Fills `std` and `seen` (N, 3), see `deviations`."""
+    """Fills `std` and `seen` (N, 3), see `deviations`; `seen` is zero before."""
     for n in range(boxes.shape[0]):
         std[n] = POSE_STD if is_pose[n] else BOX_STD
         seen[n, 2] = is_pose[n]

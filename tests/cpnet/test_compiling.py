@@ -118,16 +118,16 @@ def test_without_a_home_there_is_a_folder_that_only_the_user_may_write(
 
 
 def test_who_waits_for_another_process_says_for_which(cache, compiled) -> None:
-    cache.mkdir()
+    compiling.compile_ahead(Console(quiet=True))
+    next(cache.glob("compiled-*.json")).unlink()
     written = io.StringIO()
-    with (cache / "compiling.lock").open("w") as lock, ThreadPoolExecutor() as pool:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        lock.write("4711")
-        lock.flush()
-        waiting = pool.submit(compiling.compile_ahead, Console(file=written))
-        wait_until(lambda: "waiting for process 4711: it compiles" in written.getvalue())
-        assert not compiled
-        fcntl.flock(lock, fcntl.LOCK_UN)
+    with ThreadPoolExecutor() as pool:
+        with (cache / "compiling.lock").open() as lock:  # closing it lets the other go on
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            waiting = pool.submit(compiling.compile_ahead, Console(file=written, width=100))
+            text = f"waiting for process {os.getpid()}, which compiles the same modules"
+            wait_until(lambda: text in written.getvalue())
+            assert len(compiled) == 1
         assert waiting.result() > 30
 
 

@@ -13,8 +13,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.optimize import linear_sum_assignment
 
 from perception.detector import LIDAR, Vehicles
-from perception.tracking.assignment import assign
-from perception.tracking.association import associate
+from perception.tracking.association import assign, associate
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import GO, STOP, UNKNOWN, LaneGraph
 from perception.tracking.sightlines import RINGS, SECTORS, SightLines
@@ -183,12 +182,18 @@ def test_however_dear_all_pairs_are_none_outside_the_gates_is_chosen() -> None:
     assert found[0] != 1  # 400 m away, where the gate is 180 m
 
 
-@given(hnp.arrays(np.float64, (5, 7), elements=st.floats(0, 9)), st.integers(0, 5))
+@given(hnp.arrays(np.float64, (6, 6), elements=st.floats(-9, 9)), st.integers(0, 6))
 def test_an_assignment_costs_as_little_as_that_of_scipy(costs, rows) -> None:
     columns = assign(np.ascontiguousarray(costs[:rows]))
     assert len(set(columns.tolist())) == rows
     best = costs[linear_sum_assignment(costs[:rows])].sum()
     assert costs[np.arange(rows), columns].sum() == pytest.approx(best)
+
+
+@pytest.mark.parametrize("costs", [np.ones((3, 2)), np.full((2, 2), np.nan), np.zeros((1, 0))])
+def test_no_assignment_is_made_where_there_is_none(costs) -> None:
+    with pytest.raises(ValueError, match="no column is left"):
+        assign(costs)
 
 
 def test_two_vehicles_abreast_that_are_seen_as_one_across_the_road_drive_on() -> None:

@@ -285,17 +285,16 @@ def reports(rows: Rows) -> Table:
         for row in rows:
             if _traffic(row) == traffic:
                 by.setdefault((row["policy"], row["reporting"]), []).append(row)
-        whole, timer = (_by_seed(by[key]) for key in (("predictive", 1), ("webster", 1)))
-        for (policy, share), part in by.items():
-            delays_s = _by_seed(part)
+        whole, timer = _by_seed(by[_WHOLE]), _by_seed(by[_TIMER])
+        for key, part in by.items():
+            delays_s, is_whole, is_timer = _by_seed(part), key == _WHOLE, key == _TIMER
             errors = [row["queue_error"] for row in part if row["queue_error"] is not None]
             inside = [row["queue_inside"] for row in part if row["queue_inside"] is not None]
             more = [delays_s[seed] - whole[seed] for seed in delays_s]
-            is_whole, is_timer = delays_s == whole, delays_s == timer
             table.append(
                 [
                     traffic,
-                    f"none: `{policy}`" if is_timer else f"{100 * share:g} %",
+                    "none: `webster`" if is_timer else f"{100 * key[1]:g} %",
                     between([*delays_s.values()], 1),
                     "" if is_whole else between(more, 1),
                     "" if is_whole else f"{100 * sum(more) / sum(whole.values()):.0f}",
@@ -306,6 +305,9 @@ def reports(rows: Rows) -> Table:
                 ]
             )
     return table
+
+
+_WHOLE, _TIMER = ("predictive", 1), ("webster", 1)  # policy, share of vehicles known
 
 
 def _by_seed(rows: Rows) -> dict[int, float]:
