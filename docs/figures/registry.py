@@ -126,10 +126,6 @@ def _loop(name: str, study: str, nets: str, page: str, minutes: int, needs: str 
     )
 
 
-def _loop_t(name: str, nets: str) -> Figure:
-    return _loop(name, "loop_t", nets, "docs/control.md", 45)
-
-
 def _loop_resco(name: str, *nets: str, minutes: int) -> Figure:
     chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
     return _loop(name, "loop_resco", chosen, "docs/city.md", minutes, _needs_resco(*nets))
@@ -416,9 +412,16 @@ _LIST = (
         20,
         (Part("all", "docs/control.md", comparison.tuned),),
     ),
-    _loop_t("t", "t_junction: [1]"),
-    _loop_t("t-busy", "t_junction: [1.4]"),
-    _loop_t("peak", "moving_peak: [1]"),
+    Figure(
+        "networks",
+        "cpnet study control_city --set 'nets={corridor: [1], grid: [1]}' "
+        "--set 'policies=[webster, actuated, max_pressure, max_wave, predictive]' "
+        "--out networks --json",
+        CONTROL,
+        40,
+        (Part("all", "docs/control.md", comparison.tuned_networks),),
+    ),
+    _loop("t", "loop_t", "t_junction: [1]", "docs/control.md", 40),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
     _loop_resco("ingolstadt1", "ingolstadt1", minutes=15),
     _loop_resco("ingolstadt7", "ingolstadt7", minutes=30),

@@ -174,9 +174,9 @@ def _delay(rows: Rows, names: Sequence[str], bases: Sequence[str]) -> Table:
     return table
 
 
-def tuned(rows: Rows) -> Table:
+def tuned(rows: Rows, lasts: str = "an hour") -> Table:
     """Returns the delay of each control as tuned, by traffic, and how far `predictive` lies off."""
-    heads = [f"delay, s; {rows[0]['seeds']} seeds of an hour", "predictive control minus it, s"]
+    heads = [f"delay, s; {rows[0]['seeds']} seeds of {lasts}", "predictive control minus it, s"]
     table = [["traffic", "control", "tuning chosen on other seeds", *heads, "%", "longest wait, s"]]
     order = [*dict.fromkeys(_traffic(row) for row in rows)]
     for row in sorted(rows, key=lambda row: order.index(_traffic(row))):
@@ -193,6 +193,11 @@ def tuned(rows: Rows) -> Table:
             ]
         )
     return table
+
+
+def tuned_networks(rows: Rows) -> Table:
+    """Returns the same for nets with several signals."""
+    return tuned(rows, "half an hour")
 
 
 def loop(rows: Rows) -> Table:
