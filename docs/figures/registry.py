@@ -413,12 +413,12 @@ _LIST = (
         (Part("all", "docs/control.md", comparison.tuned),),
     ),
     Figure(
-        "networks",
-        "cpnet study control_city --set 'nets={corridor: [1], grid: [1]}' "
+        "corridor",
+        "cpnet study control_city --set 'nets={corridor: [1]}' "
         "--set 'policies=[webster, actuated, max_pressure, max_wave, predictive]' "
-        "--out networks --json",
+        "--out corridor --json",
         CONTROL,
-        40,
+        15,
         (Part("all", "docs/control.md", comparison.tuned_networks),),
     ),
     _loop("t", "loop_t", "t_junction: [1]", "docs/control.md", 40),
