@@ -154,7 +154,6 @@ def test_without_fresh_requests_the_plan_runs_and_control_returns_by_itself() ->
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 @pytest.mark.parametrize(("hours", "per_step"), [(0.1, 100), (30, 0.1)])
 def test_a_soak_of_hostile_requests_shows_nothing_unsafe(hours: float, per_step: float) -> None:
     """100 a step of 0.1 s are 1000 a second; the other soak is long instead."""
