@@ -1,11 +1,12 @@
 """`scripts/figures`: makes the tables and pictures of README and docs again, one command each.
 
 Each figure of the registry has a file `docs/figures/NAME.json`: what was measured, by which
-command, at which commit, on what machine, in how long, and a digest of the code that it measures.
-Pages show its parts between `<!-- figure: NAME.PART -->` and `<!-- /figure -->`; below stands its
-age. A figure is older than its code if the digest is another one now. What is fresh is not measured
-again, so that an interrupted call goes on where it was. `--same` finds out whether a change of the
-code left the rows of runs as they were, see `same_rows`; then figures of rows are fresh still.
+command, at which commit, on what machine, in how long, and a digest of all that made it. Pages show
+its parts between `<!-- figure: NAME.PART -->` and `<!-- /figure -->`; below stands its age. It is
+older than its command, study file and code if the digest is another one now. What is fresh is not
+measured again, so that an interrupted call goes on where it was. `--same` finds out whether a
+change of the code left the rows of runs as they were, see `same_rows`; then figures of rows are
+fresh still.
 """
 
 from __future__ import annotations
@@ -34,13 +35,14 @@ ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
 WORK = ROOT / "runs" / "figures"  # data sets and runs of the commands, kept
 _BLOCK = re.compile(r"<!-- figure: ([\w.-]+) -->\n.*?<!-- /figure -->\n?", re.DOTALL)
+_RECIPES = re.compile(r"\$ROOT/(docs/figures/[\w.]+)")  # studies and scripts of commands
 
 Record = dict[str, Any]
 
 
 def digest(figure: Figure, root: Path | None = None) -> str:
-    """Returns a hash of all files that the figure measures; of Python, of what is executed."""
-    found = hashlib.sha256()
+    """Returns a hash of the command and the files that it measures; of Python what is executed."""
+    found = hashlib.sha256(figure.command.encode())
     root = root or ROOT
     for path in _sources(figure, root):
         found.update(f"{path.relative_to(root)}\0".encode())
@@ -66,7 +68,7 @@ def executed(source: str) -> bytes:
 
 
 def _sources(figure: Figure, root: Path) -> Iterator[Path]:
-    for name in figure.sources:
+    for name in (*figure.sources, *_RECIPES.findall(figure.command)):
         path = root / name
         if not path.exists():
             raise FileNotFoundError(f"figure {figure.name}: there is no {name} to measure")

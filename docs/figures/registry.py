@@ -417,7 +417,7 @@ _LIST = (
         "cpnet study control_city --set 'nets={corridor: [1]}' "
         "--set 'policies=[webster, actuated, max_pressure, max_wave, predictive]' "
         "--out corridor --json",
-        CONTROL,
+        (*CONTROL, "studies/builtin/control_city.yaml"),
         15,
         (Part("all", "docs/control.md", comparison.tuned_networks),),
     ),
