@@ -136,9 +136,8 @@ _CONTROLS = {
     "own plan": "the net's own fixed plan",
 }
 _SHORT = (
-    *("perception", "perception, 50 m", "perception, predictive"),
-    *("perfect counts", "perfect counts, 50 m", "perfect, predictive"),
-    *("actuated, tuned", "webster, tuned", "own plan"),
+    *("perception, predictive", "perfect, predictive", "actuated, tuned", "webster, tuned"),
+    *("perception, 50 m", "perception"),
 )
 
 
@@ -155,8 +154,8 @@ def delay(rows: Rows) -> Table:
 
 
 def delay_short(rows: Rows) -> Table:
-    """Returns `delay` without variants of a control."""
-    return _delay(rows, _SHORT, tuple(_BASES)[:2])
+    """Returns what `delay` has of predictive control on perception and its alternatives."""
+    return _delay(rows, _SHORT, _SHORT[:1])
 
 
 def _delay(rows: Rows, names: Sequence[str], bases: Sequence[str]) -> Table:
@@ -239,24 +238,15 @@ _GIVEN = {
 
 
 def value_readme(rows: Rows) -> Table:
-    """Returns down to which uplink and up to which latency delay is as at best, by control."""
-    controls = [*dict.fromkeys(row["controller"] for row in rows)]
-    heads = [
-        text
-        for name in controls
-        for text in (f"{name}: delay at best, s", "not worse to", "worse from, by s")
-    ]
-    table = [["what is limited", *heads]]
+    """Returns the least uplink and the longest latency at which predictive delay is as at best."""
+    table = [["what is limited", "delay at best, s", "not worse to", "worse from, by s"]]
     for grid, (axis, words) in _GIVEN.items():
-        cells = []
-        for control in controls:
-            curve: dict[float, dict[int, float]] = {}
-            for row in rows:
-                is_own = (row["grid"], row["controller"]) == (grid, control)
-                if is_own and row["delay_s"] is not None:
-                    curve.setdefault(row[axis], {})[row["seed"]] = row["delay_s"]
-            cells += _knee(curve, is_more_better=not axis.startswith(LESS_IS_MORE))
-        table.append([words, *cells])
+        curve: dict[float, dict[int, float]] = {}
+        for row in rows:
+            is_own = (row["grid"], row["controller"]) == (grid, "predictive")
+            if is_own and row["delay_s"] is not None:
+                curve.setdefault(row[axis], {})[row["seed"]] = row["delay_s"]
+        table.append([words, *_knee(curve, is_more_better=not axis.startswith(LESS_IS_MORE))])
     return table
 
 
