@@ -424,7 +424,7 @@ _LIST = (
     _loop("t", "loop_t", "t_junction: [1]", "docs/control.md", 40),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
     _loop_resco("ingolstadt1", "ingolstadt1", minutes=15),
-    _loop_resco("ingolstadt7", "ingolstadt7", minutes=30),
+    _loop_resco("ingolstadt7", "ingolstadt7", minutes=45),
     Figure(
         "reports",
         _needs_resco("cologne1", "ingolstadt1") + "export OWN='--seeds 5 --processes 2 --json'; "
