@@ -73,7 +73,8 @@ class Track(FrameStage):
         self._config = config
         self._roadway = roadway
         self._strips = strips
-        self._lanes = LaneGraph.of(road_map)
+        leads_on = any(lane.successors for lane in road_map.lanes)  # else it is an open ground
+        self._lanes = LaneGraph.of(road_map) if leads_on else None
         self._tracker: Tracker | None = None
         self._places: dict[str, Floats] = {}
         self._distrusted: set[str] = set()

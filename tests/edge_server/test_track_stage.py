@@ -8,8 +8,11 @@ from edge_server.tracking import FRAME_BIT, ShownSignals, Track
 from perception.detector import Vehicles
 from perception.roadway import Placed, Roadway
 from perception.tracking.config import TrackingConfig
+from perception.tracking.life_cycle import UNKNOWN_MPS
 from protocol.messages import AgentPose, Equipment, SignalState
 from protocol.roadmap import RoadMap
+from recording.foreign_scans.ground import Ground
+from recording.foreign_scans.importer import open_ground
 
 S = 1_000_000_000
 
@@ -60,6 +63,15 @@ def test_more_detections_than_are_tracked_are_counted(stage):
     most = TrackingConfig().max_tracks
     places = np.linspace(-5000, 5000, most + 10)
     assert run(stage, 0, *places).drops["untracked"] == 10
+
+
+def test_on_an_open_ground_nothing_is_known_of_the_speed_of_who_was_seen_once():
+    level = Ground(np.zeros((1, 2)), np.zeros((1, 3)), fit=1.0, slope_deg=0.0)
+    ground = open_ground({"way": np.zeros((1, 6))}, level, width_m=40)
+    stage = Track(ground, Roadway.of(ground, margin_m=0.5), TrackingConfig())
+    tracks = run(stage, 0, -50.0).tracks
+    assert tracks.speeds_mps.tolist() == [0.0]
+    assert tracks.speed_std_mps.tolist() == [UNKNOWN_MPS]
 
 
 def test_without_tracking_each_frame_stands_for_itself(road_map):
