@@ -113,12 +113,12 @@ def _rows_of(folder: str) -> str:
     return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
 
 
-def _loop(name: str, study: str, nets: str, page: str, minutes: int, needs: str = "") -> Figure:
-    """Returns control on perception beside tuned baselines, on some of a study's nets."""
+def _loop(name: str, page: str, minutes: int, study: str = "", needs: str = "") -> Figure:
+    """Returns control on perception beside tuned baselines; `study` is what to run, with options."""
     return Figure(
         f"loop-{name}",
-        f"{needs}cpnet study $ROOT/docs/figures/{study}.yaml "
-        f"--set name=loop_{name} --set 'nets={{{nets}}}' --out loop_{name} --json",
+        f"{needs}cpnet study $ROOT/docs/figures/{study or f'loop_{name}.yaml'} "
+        f"--out loop_{name} --json",
         (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
         minutes,
         (Part("all", page, comparison.loop),),
@@ -128,7 +128,8 @@ def _loop(name: str, study: str, nets: str, page: str, minutes: int, needs: str 
 
 def _loop_resco(name: str, *nets: str, minutes: int) -> Figure:
     chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
-    return _loop(name, "loop_resco", chosen, "docs/city.md", minutes, _needs_resco(*nets))
+    study = f"loop_resco.yaml --set name=loop_{name} --set 'nets={{{chosen}}}'"
+    return _loop(name, "docs/city.md", minutes, study, _needs_resco(*nets))
 
 
 def _study_figures(
@@ -421,7 +422,8 @@ _LIST = (
         15,
         (Part("all", "docs/control.md", comparison.tuned_networks),),
     ),
-    _loop("t", "loop_t", "t_junction: [1]", "docs/control.md", 40),
+    _loop("t", "docs/control.md", 40),
+    _loop("paper", "docs/control.md", 55),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
     _loop_resco("ingolstadt1", "ingolstadt1", minutes=15),
     _loop_resco("ingolstadt7", "ingolstadt7", minutes=45),
