@@ -114,7 +114,7 @@ def _rows_of(folder: str) -> str:
 
 
 def _loop(name: str, page: str, minutes: int, study: str = "", needs: str = "") -> Figure:
-    """Returns control on perception beside tuned baselines; `study` is what to run, with options."""
+    """Returns control on perception beside tuned baselines; `study` is run, with its options."""
     return Figure(
         f"loop-{name}",
         f"{needs}cpnet study $ROOT/docs/figures/{study or f'loop_{name}.yaml'} "
