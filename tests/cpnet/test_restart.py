@@ -73,7 +73,7 @@ def test_a_run_outlives_its_fork_server_and_has_no_twins(shell):
         assert fault.recovery_s is not None, fault
         after = processes_of(run_dir)
         assert {name for name in before if before[name] != after[name]} == {"record"}
-        # one look at all processes may miss one on a full machine; a recorder that died stays missing
+        # one look may miss a process on a full machine; a recorder that died stays missing
         command.wait_until(lambda: children_of(run_dir) == after)
     stop(command)
     assert children_of(run_dir) == {}
