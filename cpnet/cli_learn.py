@@ -48,7 +48,8 @@ def dataset_command(
         str | None, typer.Option(help="only its networks: train, val or test; default all")
     ] = None,
     furniture: Annotated[
-        float, typer.Option(help="walls, hedges and such per 100 m of road's edge, at most")
+        float,
+        typer.Option(help="walls, trees and such per 100 m of road's edge; parked cars, too"),
     ] = 0.0,
     jobs: Annotated[int | None, typer.Option(help="processes; default one a core")] = None,
 ) -> None:

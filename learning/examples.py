@@ -141,7 +141,7 @@ SURE_POINTS = 3  # with fewer, a vehicle is not required
 WIDE_M = 60.0  # how far beyond the lanes the road's height is known
 FENCE_M = 0.5
 OFF_M = 25.0  # a window's middle from the point it was chosen for
-LIFT_STD_M = 0.05  # the road's height is not known better
+LIFT_STD_M = 0.1  # the height of an open ground is not known better
 _BELOW_M, _ABOVE_M = 2.0, 5.0
 
 
@@ -227,7 +227,7 @@ class _Thinning:
     @classmethod
     def draw(cls, rng: np.random.Generator) -> _Thinning:
         return cls(
-            bool(rng.random() < 0.6),
+            bool(rng.random() < 0.45),
             rng.uniform(0.1, 0.35) if rng.random() < 0.2 else -np.inf,
             rng.uniform(0.3, 1.0) if rng.random() < 0.3 else 1.0,
             int(rng.integers(1 << 62)),

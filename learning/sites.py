@@ -27,6 +27,7 @@ _USUAL_FOV_DEG = (2.0, -24.9)
 _OTHER_FOVS_DEG = ((10.0, -30.0), (15.0, -25.0), (3.0, -25.0), (5.0, -20.0))
 _RSU_DISTANCE_M = (6.0, 45.0)  # from the junction's centre to a roadside unit
 _CLEARANCE_M = 0.6
+_MOST_PARKED_PER_100M = 15.0  # which is a car in nearly every space
 
 
 class Site(Section):
@@ -58,7 +59,8 @@ def draw_site(
     """Draws a network by its number; it does not depend on how many there are.
 
     Where a `world` is given, kinds of vehicles and errors are its own; sizes, shares and sensors
-    are drawn about them. Of `furniture_per_100m` a share is drawn, and nothing else changes.
+    are drawn about them. Of `furniture_per_100m` a share is drawn; where it is not zero, so are the
+    parked cars, from none to a car in each space.
     """
     rng = stream(seed, "site", number)
     junction = draw_junction(stream(seed, "junction", number))
@@ -81,7 +83,13 @@ def draw_site(
         warm_up_s=float(rng.integers(60, 151)),
         roof_m=(1.6, 2.6),
     )
-    return site if world is None else _in_world(site, world, stream(seed, "world", number))
+    site = site if world is None else _in_world(site, world, stream(seed, "world", number))
+    if not furniture_per_100m:
+        return site
+    parked = round(float(stream(seed, "parked cars", number).uniform(0, _MOST_PARKED_PER_100M)), 1)
+    return site.model_copy(
+        update={"traffic": site.traffic.model_copy(update={"parked_per_100m": parked})}
+    )
 
 
 def _in_world(site: Site, world: World, rng: np.random.Generator) -> Site:

@@ -123,9 +123,10 @@ class DetectionConfig(Section):
     cluster: ClusterConfig = Field(ClusterConfig(), description="clustering, DBSCAN")
     solid_only: bool = Field(
         False,
-        description="ours: of `fast`, boxes that a sensor looks through, or over whose roof a "
-        "column goes on, are no vehicles, as for PointPillars always. Without a road map, where "
-        "hedges and walls stand on the road, it is true",
+        description="ours: boxes that a sensor looks through, or over whose roof a column goes on, "
+        "are no vehicles, as for PointPillars always; nor are those of which less than five points "
+        "or a 13th of a sensor's rays towards them are seen. Without a road map, where hedges and "
+        "walls stand on the road, it is true",
     )
     boxes: BoxConfig = Field(
         BoxConfig(), description="size filter of `reference`, completion of `fast`"

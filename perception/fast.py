@@ -123,4 +123,6 @@ class FastDetector:
                 sensors=sensors,
                 completed=self.config.boxes.completed,
             )
-            return solid_of(found, cloud, self.roadway) if self.config.solid_only else found
+            if not self.config.solid_only:
+                return found
+            return solid_of(found, cloud, self.roadway, seen_only=True)

@@ -1,14 +1,16 @@
-"""False positive filter: boxes are no vehicle if points lie behind, over or beyond them.
+"""False positive filter: boxes are no vehicle if points lie behind, over or beyond, or hardly in.
 
 A detector that has only seen simulated streets takes rows of trees, walls and roofs on posts for
 lorries. But a vehicle is opaque and ends at its roof, its bumper and its rear. Here points are
 counted, box by box, that speak against it: those that a sensor saw right through the box, those
 that stand in a column over it, as a wall does (a tree's crown over a car leaves air between), and
-the metres that its upper half goes on beyond its ends, as a hedge does. Cars that stand bumper to
+the metres that its upper part goes on beyond its ends, as a hedge does. Cars that stand bumper to
 bumper have metres of air between their cabins.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -27,24 +29,32 @@ WINDOWS = 0.7  # of the height, from where on a vehicle may be looked through
 EYE_M = 1.5  # of a sensor over the road, at least: poses may be those of a wheel's axle
 BINS = 720  # of directions around a sensor
 LEAST = 5  # fewer points show nothing
+_COUNTS = 5
 # Points against a box as a share of its own: seen through, in the air over it, higher. Lorries
 # are long and closed, and walls taken for them hardly reach over the band of heights that is kept.
-MOST = {ObjectClass.CAR: (0.5, 0.3, 0.3), ObjectClass.TRUCK: (0.3, 0.05, 0.1)}
+# Of 790 lorries on generated streets with trees, none is lost by this, of 6668 cars 0.7 %.
+MOST = {ObjectClass.CAR: (0.5, 0.3, 0.3), ObjectClass.TRUCK: (0.3, 0.03, 0.01)}
 MOST_BEYOND_M = {ObjectClass.CAR: (2.5, np.inf), ObjectClass.TRUCK: (np.inf, 1.0)}
 """How far what is boxed may go on beyond one end, and beyond both: boxes of lorries are too short
 where a part alone is seen."""
-UPPER = 0.5  # of a box's height, from where on points tell whether it goes on
+UPPER = 0.7  # of a box's height, over a car's bonnet: where points tell whether it goes on
 STEP_M, GAP_STEPS = 0.25, 2  # along a box: so many empty steps end what goes on
 BEYOND_M = 3.0  # beyond an end: so far is looked
 INSIDE_STEPS = 2  # of a box's end: from there on it is followed
 BESIDE_M = 0.3  # of a box: points of what goes on
 SLENDER = (np.inf, np.inf, np.inf)  # what may be looked past
+LEAST_OWN, LEAST_SEEN = 5, 0.075
+"""Points of a box, and the share of a sensor's rays towards it that reached it. Fewer are what one
+sees of a room through a window, or of a wall past a lorry. Of cars on generated streets with five
+points, 4 % are seen by less, so that it is asked for only where there is no road map."""
 
 
-def solid_of(found: Vehicles, cloud: Cloud, roadway: Roadway) -> Vehicles:
+def solid_of(
+    found: Vehicles, cloud: Cloud, roadway: Roadway, *, seen_only: bool = False
+) -> Vehicles:
     """Returns those vehicles of a cloud, map frame, whose boxes may be vehicles.
 
-    Boxes are taken to stand on the ground.
+    Boxes are taken to stand on the ground. If `seen_only`, those hardly seen are left out too.
     """
     parts = [*cloud.near, *cloud.bare]
     points, road_m = merge(parts)
@@ -53,28 +63,35 @@ def solid_of(found: Vehicles, cloud: Cloud, roadway: Roadway) -> Vehicles:
     sensors[:, 2] -= roadway.height_at(sensors)
     sizes = np.array([len(part.points) for part in parts], np.int64)
     height_m = points[:, 2] - road_m
-    return found.take(are_solid(boxes, found.classes, points, height_m, sizes, sensors))
+    observed = observations_of(boxes, points, height_m, sizes, sensors)
+    kept = are_solid(found.classes, observed)
+    return found.take(kept & are_seen(observed) if seen_only else kept)
 
 
-def are_solid(
-    boxes: Floats,
-    classes: Bytes,
-    points: Floats32,
-    height_m: Floats32,
-    sizes: Ints,
-    sensors: Floats,
-) -> Bools:
-    """Marks the boxes (N,) that may be vehicles.
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """What was seen at boxes (N,).
 
-    Args:
-        boxes: x, y, z over the road, length, width, height, yaw (N, 7).
-        classes: of `ObjectClass` (N,).
-        points: map frame (P, 3), part by part.
-        height_m: of the points over the road (P,).
-        sizes: how many points each part has (K,).
-        sensors: the place that each part was seen from, z over the road (K, 3).
+    Attributes:
+        counts: points in it, seen through it, in the air over it, and higher (N, 4).
+        beyond_m: how far what is boxed goes on beyond its rear and its front (N, 2).
+        seen: the share of the rays towards it that ended in it, of the sensor that sees most (N,).
     """
-    counts, beyond_m = counts_of(boxes, points, height_m, sizes, sensors)
+
+    counts: Ints
+    beyond_m: Floats
+    seen: Floats
+
+
+def are_seen(observed: Observations) -> Bools:
+    """Marks the boxes (N,) of which enough was seen."""
+    enough = observed.counts[:, 0] >= LEAST_OWN
+    return np.asarray(enough & (observed.seen >= LEAST_SEEN))
+
+
+def are_solid(classes: Bytes, observed: Observations) -> Bools:
+    """Marks the boxes (N,) of classes of `ObjectClass` (N,) that may be vehicles."""
+    counts, beyond_m = observed.counts, observed.beyond_m
     most_m = [MOST_BEYOND_M.get(ObjectClass(kind), SLENDER[:2]) for kind in classes]
     one_m, both_m = np.array(most_m).reshape(-1, 2).T
     goes_on = (beyond_m.max(axis=1) >= one_m) | (beyond_m.min(axis=1) >= both_m)
@@ -83,14 +100,19 @@ def are_solid(
     return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2]) | goes_on))
 
 
-def counts_of(
+def observations_of(
     boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints, sensors: Floats
-) -> tuple[Ints, Floats]:
-    """Counts points by box: in it, seen through it, in the air over it, and higher (N, 4).
+) -> Observations:
+    """Returns what was seen at boxes.
 
-    The second result is how far each goes on beyond its rear and its front, m (N, 2).
+    Args:
+        boxes: x, y, z over the road, length, width, height, yaw (N, 7).
+        points: map frame (P, 3), part by part.
+        height_m: of the points over the road (P,).
+        sizes: how many points each part has (K,).
+        sensors: the place that each part was seen from, z over the road (K, 3).
     """
-    result = np.zeros((len(boxes), 4), np.int64)
+    counts, seen = np.zeros((len(boxes), _COUNTS), np.int64), np.zeros(len(boxes))
     steps = int((boxes[:, 3].max(initial=0.0) + 2 * BEYOND_M) / STEP_M) + 1
     is_upper = np.zeros((len(boxes), steps), np.bool_)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -98,8 +120,13 @@ def counts_of(
         own = slice(starts[part], starts[part + 1])
         if starts[part + 1] > starts[part] and len(boxes):
             eye = np.array([sensor[0], sensor[1], max(sensor[2], EYE_M)])
-            _count(np.ascontiguousarray(boxes), points[own], height_m[own], eye, result, is_upper)
-    return result, _beyond_m(is_upper, np.ascontiguousarray(boxes[:, 3]))
+            seen_by = np.zeros_like(counts)
+            _count(np.ascontiguousarray(boxes), points[own], height_m[own], eye, seen_by, is_upper)
+            rays = seen_by[:, 0] + seen_by[:, 4]
+            seen = np.maximum(seen, seen_by[:, 0] / np.maximum(rays, 1))
+            counts += seen_by
+    beyond_m = _beyond_m(is_upper, np.ascontiguousarray(boxes[:, 3]))
+    return Observations(counts[:, :4], beyond_m, seen)
 
 
 @njit("float64[:,::1](boolean[:,::1], float64[::1])", cache=True, nogil=True)
@@ -142,6 +169,33 @@ def _by_direction(points: Floats32, eye: Floats) -> tuple[Ints, Ints]:
 
 
 @njit(
+    "UniTuple(float64, 2)(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3))",
+    cache=True,
+    nogil=True,
+)
+def _crossing(
+    eye: tuple[float, float, float],
+    point: tuple[float, float, float],
+    half: tuple[float, float, float],
+) -> tuple[float, float]:
+    """Returns where the ray from eye to point enters a rectangle and leaves it: 1 is at the point.
+
+    All are (3,) along a box, across it and over the road, from its middle; of `half` the height
+    does not matter. If it misses the rectangle, it leaves it before it enters it.
+    """
+    enter, leave = -np.inf, np.inf
+    for axis in range(2):
+        step = point[axis] - eye[axis]
+        if abs(step) < 1e-9:
+            if abs(eye[axis]) > half[axis]:
+                return 1.0, 0.0
+            continue
+        one, other = (-half[axis] - eye[axis]) / step, (half[axis] - eye[axis]) / step
+        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+    return enter, leave
+
+
+@njit(
     "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3))",
     cache=True,
     nogil=True,
@@ -153,22 +207,34 @@ def _is_through(
 ) -> bool:
     """Whether the ray from eye to point goes through a core, all below its top and over the ground.
 
-    All are (3,) along a box, across it and over the road, from its middle; the core's are halves.
+    See `_crossing`.
     """
-    enter, leave = 0.0, 1.0
-    for axis in range(2):
-        step = point[axis] - eye[axis]
-        if abs(step) < 1e-9:
-            if abs(eye[axis]) > core[axis]:
-                return False
-            continue
-        one, other = (-core[axis] - eye[axis]) / step, (core[axis] - eye[axis]) / step
-        enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+    enter, leave = _crossing(eye, point, core)
     if enter >= leave or leave >= 1.0 or enter <= 0.0:
         return False
     rise = point[2] - eye[2]
     first, last = eye[2] + enter * rise, eye[2] + leave * rise
     return bool(min(first, last) > LOW_M and max(first, last) < core[2])
+
+
+@njit(
+    "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3))",
+    cache=True,
+    nogil=True,
+)
+def _is_towards(
+    eye: tuple[float, float, float],
+    point: tuple[float, float, float],
+    box: tuple[float, float, float],
+) -> bool:
+    """Whether a ray leads to the side of a box that faces it, however far it came; see `_crossing`.
+
+    The box's third number is its whole height.
+    """
+    enter, leave = _crossing(eye, point, box)
+    if enter >= leave or enter <= 0.0:
+        return False
+    return bool(LOW_M < eye[2] + enter * (point[2] - eye[2]) < box[2])
 
 
 @njit(
@@ -185,7 +251,10 @@ def _count(
     result: Ints,
     is_upper: Bools,
 ) -> None:
-    """Adds what one sensor saw; marks the steps along each box where its upper half was hit."""
+    """Counts what one sensor saw: as `Observations`, and its rays to each box that ended elsewhere.
+
+    Marks the steps along each box where its upper part was hit.
+    """
     order, starts = _by_direction(points, eye)
     for box in range(boxes.shape[0]):
         length, width = boxes[box, 3], boxes[box, 4]
@@ -217,9 +286,8 @@ def _count(
                     result[box, 0] += high_m > LOW_M and over_m <= OWN_M
                     result[box, 2] += AIR_M[0] < over_m <= AIR_M[1]
                     result[box, 3] += over_m > HIGHER_M
-                elif _is_through(
-                    (eye_u, eye_v, eye[2]),
-                    (u, v, high_m),
-                    (CORE / 2 * length, CORE / 2 * width, WINDOWS * top_m),
-                ):
-                    result[box, 1] += 1
+                    continue
+                seen_from, at_m = (eye_u, eye_v, eye[2]), (u, v, high_m)
+                core = (CORE / 2 * length, CORE / 2 * width, WINDOWS * top_m)
+                result[box, 1] += _is_through(seen_from, at_m, core)
+                result[box, 4] += _is_towards(seen_from, at_m, (length / 2, width / 2, top_m))

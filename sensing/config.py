@@ -210,8 +210,8 @@ class SceneConfig(Section):
         0.0,
         ge=0,
         le=30,
-        description="Walls, fences, hedges, bushes, boxes, sheds and roofs on posts per 100 m of "
-        "road's edge.",
+        description="Walls, fences, hedges, bushes, boxes, sheds, roofs on posts, houses and trees "
+        "at the kerb per 100 m of road's edge.",
     )
     map_height_std_m: float = Field(
         0.0,

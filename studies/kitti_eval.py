@@ -20,10 +20,12 @@ from edge_server.config import EdgeConfig
 from learning.dataset import SceneSample, SensorScan
 from learning.kitti_object import DONT_CARE, KittiFrame, KittiObject
 from perception.arrays import Bools, Floats, Floats32, Ints
+from perception.boxes import overlaps
 from perception.config import DetectorName
 from perception.detector import Cloud, Vehicles
 from perception.map_height import on_the_ground
 from protocol.geometry import SE3
+from protocol.messages import ObjectClass
 from recording.foreign_scans.importer import ground_of, height_over_ground_m, open_ground
 from sensing.point_files import read_points
 from studies.average_precision import Outcomes, Scene, average_precision, outcomes
@@ -59,6 +61,11 @@ class JudgedFrame:
     points: Ints
     took_ms: float
     least_score: float
+
+    @property
+    def certain(self) -> Bools:
+        """Which detections count (N,)."""
+        return np.asarray(self.found.scores >= self.least_score)
 
 
 def evaluate_kitti(
@@ -117,6 +124,39 @@ def _judge(
     counts = np.array([_points_in(points, one.box) for one in objects], np.int64)
     least_score = site.least_score(name)
     return JudgedFrame(frame, found.take(~is_own), objects, counts, took_ms, least_score)
+
+
+NEAR_M, NEAR_IOU = 2.0, 0.3
+"""Off a vehicle's middle, or from above with it: what makes a detection right in `hits_of`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """Labelled vehicles, those found, detected vehicles, and those of them that are right."""
+
+    vehicles: int
+    found: int
+    boxes: int
+    right: int
+
+
+def hits_of(one: JudgedFrame, range_m: float) -> Hits:
+    """Counts cars and lorries within range by a rule that suits labels made by hand.
+
+    A label with fewer than 5 points need not be found; a detection that is right for no vehicle but
+    on a DontCare, or on a vehicle of few points, is not counted.
+    """
+    detected = one.found.take((one.found.classes < ObjectClass.TWO_WHEELER) & one.certain)
+    boxes = detected.boxes[np.hypot(*detected.boxes[:, :2].T) <= range_m]
+    labels = np.array([label.box for label in one.objects]).reshape(-1, 7)
+    due = np.array([label.kind in _KINDS[VEHICLE][0] for label in one.objects], np.bool_)
+    due &= (one.points >= VISIBLE_POINTS) & (np.hypot(*labels[:, :2].T) <= range_m)
+    off_m = np.hypot(*(boxes[:, None, :2] - labels[None, :, :2]).transpose(2, 0, 1))
+    match = (overlaps(boxes, labels)[0] > NEAR_IOU) | (off_m < NEAR_M)
+    right = match[:, due].any(axis=1)
+    ignored = match.any(axis=1) & ~right
+    found = int(match[:, due].any(axis=0).sum())
+    return Hits(int(due.sum()), found, int((~ignored).sum()), int(right.sum()))
 
 
 def _points_in(points: Floats32, box: Floats) -> int:

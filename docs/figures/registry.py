@@ -34,6 +34,7 @@ CONTROL = (
     *("sim_host", "protocol", "signal_controller"),
     *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
 )
+_READING = ("recording/foreign_scans", "learning/kitti_object.py", "sensing/point_files.py")
 LEARNED = ("pointpillars",)
 """Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
 
@@ -272,6 +273,18 @@ _LIST = (
         (*PERCEPTION, "sensing", "learning", "studies/evaluate.py", "studies/average_precision.py"),
         6,
         (Part("all", "docs/detection.md", detection.accuracy),),
+        of_rows=True,
+        tracked=False,
+        learned=True,
+    ),
+    Figure(
+        "public-scans",
+        '[ -d "$OUSTER_SDK" ] || { echo "OUSTER_SDK: must be the unpacked source distribution of '
+        'ouster-sdk" >&2; exit 1; }; '
+        'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" public-scans',
+        (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py"),
+        1,
+        (Part("all", "docs/detection.md", detection.public_scans),),
         of_rows=True,
         tracked=False,
         learned=True,

@@ -211,10 +211,13 @@ AT_ONCE = 8  # windows; bounds the memory that a cloud takes
 class PillarsDetector:
     """Detects vehicles by PointPillars in clouds placed on `roadway`."""
 
-    def __init__(self, engine: Engine, roadway: Roadway, config: PillarsDetection) -> None:
+    def __init__(
+        self, engine: Engine, roadway: Roadway, config: PillarsDetection, *, seen_only: bool = False
+    ) -> None:
         self._engine = engine
         self._roadway = roadway
         self._config = config
+        self._seen_only = seen_only
 
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
         """See `perception.detector.Detector.detect`."""
@@ -233,7 +236,7 @@ class PillarsDetector:
             boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
             found = Vehicles.from_lidar(boxes, scores, classes)
-            return solid_of(found, cloud, self._roadway)
+            return solid_of(found, cloud, self._roadway, seen_only=self._seen_only)
 
     def _ask(
         self, points: Floats32, height_m: Floats32, windows: list[Window]
@@ -256,7 +259,9 @@ class PillarsDetector:
         return np.concatenate(boxes), np.concatenate(scores), np.concatenate(classes)
 
 
-def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> PillarsDetector:
+def pillars_detector(
+    name: str, config: PillarsDetection, roadway: Roadway, *, seen_only: bool = False
+) -> PillarsDetector:
     """Builds `pointpillars` or `pointpillars-full`, with the shipped weights or the user's.
 
     Raises:
@@ -264,7 +269,7 @@ def pillars_detector(name: str, config: PillarsDetection, roadway: Roadway) -> P
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     engine = Engine(network_of(name, config), device, half=computes_in_half(device))
-    return PillarsDetector(engine, roadway, config)
+    return PillarsDetector(engine, roadway, config, seen_only=seen_only)
 
 
 def computes_in_half(device: torch.device) -> bool:

@@ -8,7 +8,7 @@ from perception.config import DetectionConfig
 from perception.detector import Cloud
 from perception.fast import FastDetector
 from perception.roadway import Placed, Roadway
-from perception.solid import are_solid, counts_of
+from perception.solid import are_seen, are_solid, observations_of
 from protocol.messages import ObjectClass
 from recording.foreign_scans.ground import Ground
 from recording.foreign_scans.importer import open_ground
@@ -29,9 +29,12 @@ def upright(x, y, high_m, low_m=0.5):
 
 
 def solid(boxes, classes, *parts):
-    points = np.concatenate(parts).astype(np.float32)
-    sizes = np.array([len(points)])
-    return bool(are_solid(boxes, classes, points, points[:, 2].copy(), sizes, EYE)[0])
+    return bool(are_solid(classes, observed(boxes, np.concatenate(parts)))[0])
+
+
+def observed(boxes, points, sizes=None, eyes=EYE):
+    sizes = np.array([len(points)] if sizes is None else sizes)
+    return observations_of(boxes, *_cloud(points), sizes, eyes)
 
 
 SIDE = upright(np.linspace(-4.4, 4.4, 60), 8.8, 3.4)
@@ -76,6 +79,19 @@ def test_a_lorry_may_be_longer_than_its_box_beyond_one_end_alone():
     assert not solid(LORRY, TRUCKS, upright(np.linspace(-7.4, 7.4, 120), 8.8, 3.4))
 
 
+def test_what_one_sees_through_a_gap_of_a_wall_is_too_little_for_a_car():
+    rear = upright(np.full(60, 9.9), np.linspace(-0.9, 0.9, 60), 1.5)
+    wall = upright(np.full(200, 6.0), np.linspace(-1.5, 1.5, 200), 2.0)
+    past_gap = np.abs(rear[:, 1]) < 0.05
+    assert are_seen(observed(CAR, rear)).tolist() == [True]
+    assert past_gap.sum() >= 5
+    assert are_seen(observed(CAR, np.concatenate([wall, rear[past_gap]]))).tolist() == [False]
+    assert are_seen(observed(CAR, rear[:4])).tolist() == [False]
+    # Another sensor sees all of it.
+    both, eyes = np.concatenate([wall, rear]), np.array([*EYE, [20.0, 3.0, 2.0]])
+    assert are_seen(observed(CAR, both, [len(wall), len(rear)], eyes)).tolist() == [True]
+
+
 def test_a_person_may_be_looked_past():
     person = np.array([[8.0, 0.0, 0.85, 0.5, 0.6, 1.7, 0.0]])  # the sensor looks down on it
     people = np.array([ObjectClass.PEDESTRIAN], np.uint8)
@@ -85,11 +101,10 @@ def test_a_person_may_be_looked_past():
 
 
 def test_without_boxes_or_points_there_is_nothing_to_mark():
-    nothing = np.zeros((0, 3), np.float32)
-    none = np.zeros(0, np.float32)
-    assert are_solid(CAR, CARS, nothing, none, np.array([0]), EYE).tolist() == [True]
-    empty = np.zeros((0, 7)), np.zeros(0, np.uint8)
-    assert len(are_solid(*empty, nothing, none, np.array([0]), EYE)) == 0
+    nothing = observed(CAR, np.zeros((0, 3)))
+    assert are_solid(CARS, nothing).tolist() == [True]
+    assert are_seen(nothing).tolist() == [False]
+    assert len(are_solid(CARS[:0], observed(CAR[:0], np.zeros((0, 3))))) == 0
 
 
 @given(st.floats(-np.pi, np.pi), st.integers(0, 2**32 - 1))
@@ -97,15 +112,15 @@ def test_counts_turn_with_the_scene_and_add_up_over_parts(turn, seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform([-20, -20, 0], [20, 20, 4], (400, 3))
     boxes = np.array([*LORRY, *CAR])
-    whole, _ = counts_of(boxes, *_cloud(points), np.array([400]), EYE)
-    parts, _ = counts_of(boxes, *_cloud(points), np.array([150, 250]), np.repeat(EYE, 2, 0))
+    whole = observed(boxes, points).counts
+    parts = observed(boxes, points, [150, 250], np.repeat(EYE, 2, 0)).counts
     assert (whole == parts).all()
     cos, sin = np.cos(turn), np.sin(turn)
     rotation = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     turned = boxes.copy()
     turned[:, :3] = boxes[:, :3] @ rotation.T
     turned[:, 6] += turn
-    again, _ = counts_of(turned, *_cloud(points @ rotation.T), np.array([400]), EYE)
+    again = observed(turned, points @ rotation.T).counts
     assert np.abs(whole - again).max() <= 1  # of points on an edge, by rounding
 
 
@@ -114,11 +129,9 @@ def _cloud(points):
 
 
 def test_a_sensor_is_taken_to_be_on_a_roof_at_least():
-    behind = upright(np.full(40, 20.0), np.linspace(-0.5, 0.5, 40), 1.2).astype(np.float32)
-    counts = [
-        counts_of(CAR, *_cloud(behind), np.array([len(behind)]), np.array([[0.0, 0.0, eye_m]]))[0]
-        for eye_m in (0.3, 1.5)
-    ]
+    behind = upright(np.full(40, 20.0), np.linspace(-0.5, 0.5, 40), 1.2)
+    eyes = [np.array([[0.0, 0.0, eye_m]]) for eye_m in (0.3, 1.5)]
+    counts = [observed(CAR, behind, eyes=eye).counts for eye in eyes]
     assert counts[0][0, 1] == counts[1][0, 1] > 30
 
 

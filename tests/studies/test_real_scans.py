@@ -15,10 +15,9 @@ import pytest
 from edge_server.config import EdgeConfig
 from learning.kitti import line_of
 from learning.kitti_object import kitti_frames
-from perception.boxes import overlaps
 from protocol.messages import ObjectClass
 from recording.foreign_scans.agents import Source, agents_of
-from studies.kitti_eval import JudgedFrame, judge
+from studies.kitti_eval import JudgedFrame, hits_of, judge
 
 pytest.importorskip("torch", reason="needs the extra `learn`")
 
@@ -61,17 +60,6 @@ def judged(request, tmp_path_factory) -> dict[str, JudgedFrame]:
     return judge(frame, ["fast", "pointpillars"], EdgeConfig(), RANGE_M)
 
 
-def counts(one: JudgedFrame) -> tuple[int, int]:
-    """Returns how many cars are found, within 2 m or by an IoU of 0.3, and how many boxes wrong."""
-    used = (one.found.scores >= one.least_score) & (one.found.classes < 2)
-    used &= np.hypot(one.found.boxes[:, 0], one.found.boxes[:, 1]) <= RANGE_M
-    boxes = one.found.boxes[used]
-    cars = np.array([label.box for label in one.objects]).reshape(-1, 7)
-    off_m = np.hypot(*(boxes[:, None, :2] - cars[None, :, :2]).transpose(2, 0, 1))
-    match = (overlaps(boxes, cars)[0] > 0.3) | (off_m < 2.0)
-    return int(match.any(axis=0).sum()), int((~match.any(axis=1)).sum())
-
-
 # Before boxes were asked whether they are solid, on level ground: 50, 7, 25 and 15. Before they
 # were asked whether what they hold goes on beyond their ends: 41, 1, 10 and 13. Before training saw
 # walls, hedges and sheds beside the road: 35, 3, 7 and 9. What is still boxed in CARLA's scan: a
@@ -87,7 +75,8 @@ MOST_WRONG = {
 @pytest.mark.parametrize("detector", ["fast", "pointpillars"])
 def test_all_cars_are_found_and_few_boxes_are_on_trees_and_walls(judged, detector):
     one = judged[detector]
-    found, wrong = counts(one)
-    assert found == len(CARS[one.frame.name])
+    hits = hits_of(one, RANGE_M)
+    wrong = hits.boxes - hits.right
+    assert hits.found == hits.vehicles == len(CARS[one.frame.name])
     assert all(points >= 90 for points in one.points)
     assert wrong <= MOST_WRONG[one.frame.name, detector], wrong

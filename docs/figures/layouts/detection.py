@@ -38,6 +38,28 @@ def accuracy(rows: Rows) -> Table:
     return table
 
 
+def public_scans(rows: Rows) -> Table:
+    """Returns what was found, and what was right, by scene and over all, of each detector."""
+    detectors = list(dict.fromkeys(row["detector"] for row in rows))
+    heads = [f"`{one}`: {what}" for one in detectors for what in ("found", "right")]
+    table = [["scene", "recording", *heads]]
+    for scene, sensor in dict.fromkeys((row["scene"], row["sensor"]) for row in rows):
+        of_scene = [row for row in rows if row["scene"] == scene]
+        table.append([scene, f"`{sensor}`", *_hits(of_scene, detectors)])
+    return [*table, ["all", "", *_hits(rows, detectors)]]
+
+
+def _hits(rows: Rows, detectors: list[str]) -> list[str]:
+    cells = []
+    for detector in detectors:
+        own = [row for row in rows if row["detector"] == detector]
+        for some, every in (("found", "vehicles"), ("right", "boxes")):
+            part, whole = (sum(row[key] for row in own) for key in (some, every))
+            share = f" ({100 * part / whole:.0f} %)" if whole else ""
+            cells.append(f"{part} of {whole}{share}")
+    return cells
+
+
 _OBJECTS = {
     "vehicle": "vehicles, whatever they are called",
     "car": "cars, vans",

@@ -1,0 +1,91 @@
+"""Prints what detectors find in public scans: `public_scans.py OUSTER_SDK FOLDER`.
+
+OUSTER_SDK is the unpacked source distribution of the package of that name (`ouster_sdk` 1.0.1 on
+PyPI, BSD 3-clause), which has recordings among its tests; the package itself reads them. Vehicles
+were labelled by hand on pictures from above: `public_scans/NAME.txt`, KITTI's labels in the frame
+of the sensor, DontCare what may be a vehicle or not. FOLDER gets clouds and labels as `cpnet eval
+--kitti FOLDER` reads them.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from ouster.sdk import core, open_source
+
+from edge_server.config import EdgeConfig
+from learning.kitti_object import kitti_frames
+from studies.kitti_eval import hits_of, judge
+
+RECORDINGS = "sdk/tests"
+SCENES = {
+    "street-1": ("pcaps/OS-1-128_v2.3.0_1024x10_lb_n3.pcap", 0),
+    "street-2": ("pcaps/OS-2-128-U1_v2.3.0_1024x10.pcap", 0),
+    "street-3": ("pcaps/OS-0-128-U1_v2.3.0_1024x10.pcap", 0),
+    "street-4": ("pcaps/OS-1-32-G_v2.1.1_1024x10.pcap", 0),
+    "street-5": ("pcaps/OS-2-32-U0_v2.0.0_1024x10.pcap", 0),
+    "street-6": ("osfs/single_scan_016.osf", 0),
+    "car-park-1": ("osfs/pose_delta_2_128.osf", 0),
+    "car-park-2": ("osfs/pose_delta_2_128.osf", 1),
+}
+"""By name: the recording, of which the first frame is taken, and which of its sensors."""
+LABELS = Path(__file__).with_suffix("")
+DETECTORS = ("fast", "pointpillars", "pointpillars-full")
+RANGE_M = 50.0
+
+
+def main() -> None:
+    """Prints JSON: a row for each scene and detector."""
+    folder = Path(sys.argv[2])
+    write_frames(Path(sys.argv[1]) / RECORDINGS, folder)
+    rows = []
+    for frame in kitti_frames(folder):
+        for detector, one in judge(frame, DETECTORS, EdgeConfig(), RANGE_M).items():
+            hits = hits_of(one, RANGE_M)
+            rows.append(
+                {
+                    "scene": frame.name,
+                    "sensor": SCENES[frame.name][0],
+                    "detector": detector,
+                    "vehicles": hits.vehicles,
+                    "found": hits.found,
+                    "boxes": hits.boxes,
+                    "right": hits.right,
+                }
+            )
+    json.dump(rows, sys.stdout)
+
+
+def write_frames(recordings: Path, folder: Path) -> None:
+    """Writes clouds and labels in KITTI's layout."""
+    for part in ("velodyne", "label_2"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    for name, (recording, sensor) in SCENES.items():
+        cloud = points_of(recordings / recording, sensor)
+        np.save(folder / "velodyne" / f"{name}.npy", cloud)
+        shutil.copy(LABELS / f"{name}.txt", folder / "label_2")
+
+
+def points_of(recording: Path, sensor: int) -> np.ndarray:
+    """Returns x, y, z and intensity (N, 4) of a recording's first frame, in the sensor's frame.
+
+    A frame in which a sensor is missing is passed over.
+    """
+    for frame in islice(open_source(str(recording)), 3):
+        scans = [scan for scan in frame if scan is not None]
+        if len(scans) > sensor:
+            scan = scans[sensor]
+            hit = scan.field(core.ChanField.RANGE) > 0
+            xyz = core.XYZLut(scan.sensor_info)(scan)[hit]
+            reflectivity = scan.field(core.ChanField.REFLECTIVITY)[hit] / 255.0
+            return np.column_stack([xyz, reflectivity]).astype(np.float32)
+    raise SystemExit(f"{recording}: has no frame of {sensor + 1} sensors")
+
+
+if __name__ == "__main__":
+    main()
