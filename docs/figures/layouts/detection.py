@@ -39,25 +39,30 @@ def accuracy(rows: Rows) -> Table:
 
 
 def public_scans(rows: Rows) -> Table:
-    """Returns what was found, and what was right, by scene and over all, of each detector."""
-    detectors = list(dict.fromkeys(row["detector"] for row in rows))
-    heads = [f"`{one}`: {what}" for one in detectors for what in ("found", "right")]
-    table = [["scene", "recording", *heads]]
-    for scene, sensor in dict.fromkeys((row["scene"], row["sensor"]) for row in rows):
-        of_scene = [row for row in rows if row["scene"] == scene]
-        table.append([scene, f"`{sensor}`", *_hits(of_scene, detectors)])
-    return [*table, ["all", "", *_hits(rows, detectors)]]
+    """Returns what was found and what was right, by detector and scene, streets and all."""
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    groups = {one: [one] for one in scenes}
+    groups |= {"streets": [one for one in scenes if one.startswith("street")], "all": scenes}
+    ways = list(dict.fromkeys((row["detector"], row["score"]) for row in rows))
+    heads = [f"`{name}`" + (f" from {score:g}" if score else "") for name, score in ways]
+    table = [["scene", "vehicles", *(f"{head}: {what}" for head in heads for what in _SHARES)]]
+    for group, members in groups.items():
+        own = [row for row in rows if row["scene"] in members]
+        count = sum(row["vehicles"] for row in own) // len(ways)
+        table.append([group, str(count), *(cell for way in ways for cell in _hits(own, way))])
+    return table
 
 
-def _hits(rows: Rows, detectors: list[str]) -> list[str]:
-    cells = []
-    for detector in detectors:
-        own = [row for row in rows if row["detector"] == detector]
-        for some, every in (("found", "vehicles"), ("right", "boxes")):
-            part, whole = (sum(row[key] for row in own) for key in (some, every))
-            share = f" ({100 * part / whole:.0f} %)" if whole else ""
-            cells.append(f"{part} of {whole}{share}")
-    return cells
+_SHARES = {"found": "vehicles", "right": "boxes"}
+
+
+def _hits(rows: Rows, way: tuple[str, float]) -> list[str]:
+    """Returns shares of vehicles found and of boxes right, in per cent with the counts."""
+    own = [row for row in rows if (row["detector"], row["score"]) == way]
+    sums = [
+        (sum(r[part] for r in own), sum(r[whole] for r in own)) for part, whole in _SHARES.items()
+    ]
+    return [f"{fixed(a / b, 0, 100)} ({a}/{b})" if b else "–" for a, b in sums]
 
 
 _OBJECTS = {
