@@ -45,24 +45,20 @@ def public_scans(rows: Rows) -> Table:
     groups |= {"streets": [one for one in scenes if one.startswith("street")], "all": scenes}
     ways = list(dict.fromkeys((row["detector"], row["score"]) for row in rows))
     heads = [f"`{name}`" + (f" from {score:g}" if score else "") for name, score in ways]
-    table = [["scene", "vehicles", *(f"{head}: {what}" for head in heads for what in _SHARES)]]
+    table = [["scene", "vehicles", *(f"{head}, found / right" for head in heads)]]
     for group, members in groups.items():
         own = [row for row in rows if row["scene"] in members]
         count = sum(row["vehicles"] for row in own) // len(ways)
-        table.append([group, str(count), *(cell for way in ways for cell in _hits(own, way))])
+        table.append([group, str(count), *(_hits(own, way) for way in ways)])
     return table
 
 
-_SHARES = {"found": "vehicles", "right": "boxes"}
-
-
-def _hits(rows: Rows, way: tuple[str, float]) -> list[str]:
-    """Returns shares of vehicles found and of boxes right, in per cent with the counts."""
+def _hits(rows: Rows, way: tuple[str, float]) -> str:
+    """Returns the shares of vehicles found and of boxes right, in per cent."""
     own = [row for row in rows if (row["detector"], row["score"]) == way]
-    sums = [
-        (sum(r[part] for r in own), sum(r[whole] for r in own)) for part, whole in _SHARES.items()
-    ]
-    return [f"{fixed(a / b, 0, 100)} ({a}/{b})" if b else "–" for a, b in sums]
+    shares = (("found", "vehicles"), ("right", "boxes"))
+    sums = [(sum(row[part] for row in own), sum(row[all_] for row in own)) for part, all_ in shares]
+    return " / ".join(fixed(part / whole, 0, 100) if whole else "–" for part, whole in sums)
 
 
 _OBJECTS = {
