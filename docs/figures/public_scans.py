@@ -1,4 +1,4 @@
-"""Prints what detectors find in public scans: `public_scans.py OUSTER_SDK FOLDER`.
+"""Prints what detectors find in public scans: `public_scans.py OUSTER_SDK FOLDER DETECTORS`.
 
 OUSTER_SDK is the unpacked source distribution of the package of that name (`ouster_sdk` 1.0.1 on
 PyPI, BSD 3-clause), which has recordings among its tests; the package itself reads them. Vehicles
@@ -21,7 +21,6 @@ from ouster.sdk import core, open_source
 
 from edge_server.config import EdgeConfig
 from learning.kitti_object import kitti_frames
-from perception.config import DetectorName
 from studies.kitti_eval import hits_of, judge
 
 RECORDINGS = "sdk/tests"
@@ -37,19 +36,18 @@ SCENES = {
 }
 """By name: the recording, of which the first frame is taken, and which of its sensors."""
 LABELS = Path(__file__).with_suffix("")
-DETECTORS: tuple[DetectorName, ...] = ("fast", "pointpillars", "pointpillars-full")
 LOWER_SCORE = 0.3
 """A second row of learned detectors counts boxes from this score on."""
 RANGE_M = 50.0
 
 
 def main() -> None:
-    """Prints JSON: a row for each scene and detector."""
-    folder = Path(sys.argv[2])
+    """Prints JSON: a row for each scene, detector and score."""
+    folder, detectors = Path(sys.argv[2]), sys.argv[3].split(",")
     write_frames(Path(sys.argv[1]) / RECORDINGS, folder)
     rows = []
     for frame in kitti_frames(folder):
-        for detector, one in judge(frame, DETECTORS, EdgeConfig(), RANGE_M).items():
+        for detector, one in judge(frame, detectors, EdgeConfig(), RANGE_M).items():
             labels = {"scene": frame.name, "sensor": SCENES[frame.name][0], "detector": detector}
             for score in dict.fromkeys((one.least_score, min(one.least_score, LOWER_SCORE))):
                 hits = hits_of(replace(one, least_score=score), RANGE_M)

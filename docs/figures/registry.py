@@ -281,7 +281,8 @@ _LIST = (
         "public-scans",
         '[ -d "$OUSTER_SDK" ] || { echo "OUSTER_SDK: must be the unpacked source distribution of '
         'ouster-sdk" >&2; exit 1; }; '
-        'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" public-scans',
+        'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" public-scans '
+        "fast,pointpillars,pointpillars-full",
         (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py"),
         1,
         (Part("all", "docs/detection.md", detection.public_scans),),
