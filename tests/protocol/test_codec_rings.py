@@ -159,3 +159,10 @@ def test_a_cloud_takes_the_smaller_of_its_forms(bound_m):
         edge_m = lattice_edge_m(room_m(bound_m, farthest_m, "coordinate"))
         tree = sum(map(len, pack_tree(points.astype(np.float64), edge_m)[0]))
         assert len(encode_cloud(plain, bound_m)) <= tree + PREFIX.size + 40  # lengths of sections
+
+
+def test_rings_beside_which_points_lie_are_compared_with_an_octree():
+    image = find_rings(ringed().astype(np.float64), 0.1)
+    assert image is not None
+    assert image.is_sure(0.1)
+    assert not replace(image, beside_m=0.025).is_sure(0.1)
