@@ -42,7 +42,7 @@ from sensing.link_budget import link_warnings
 from sensing.radio import AgentKind
 from sensing.recorded_scans import check_recording
 from sensing.upload_policies import policy_of
-from signal_controller.policies import check_policy as check_policy
+from signal_controller.config import check_policy
 
 SENSING = {"vehicle", "infra"}
 PLAYERS = SENSING | {"sim"}  # roles that play a recording, if there is one

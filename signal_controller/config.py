@@ -97,3 +97,13 @@ class SignalConfig(Section):
                 f"speed_advice needs policy predictive, which plans ahead; policy is {self.policy}"
             )
         return self
+
+
+def check_policy(config: SignalConfig) -> None:
+    """Checks before a start that the policy of a configuration can be loaded.
+
+    Raises:
+        ConfigError: it cannot be imported.
+    """
+    if config.policy not in POLICIES.builtin:
+        POLICIES.load(config.policy)

@@ -148,16 +148,6 @@ def policy_of(config: SignalConfig, site: SignalSite) -> SignalPolicy:
             return _CheckedPolicy(plugin, plugin.make("decide", config, site), site.signal)
 
 
-def check_policy(config: SignalConfig) -> None:
-    """Checks before a start that the policy of a configuration can be loaded.
-
-    Raises:
-        ConfigError: it cannot be imported.
-    """
-    if config.policy not in POLICIES.builtin:
-        POLICIES.load(config.policy)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPlan:
     """The net's own plan."""

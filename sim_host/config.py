@@ -16,6 +16,10 @@ VehicleClassName = Literal[
 ]
 
 
+NetworkName = Literal["t_junction", "corridor", "grid", "town"]
+"""Built-in networks."""
+
+
 class VehicleSpec(Section):
     """One kind of vehicle of the generated demand."""
 
@@ -67,7 +71,7 @@ class LateralConfig(Section):
 class TrafficConfig(Section):
     """Roads and demand: of a built-in network, or of the user's `net` or `sumocfg`."""
 
-    network: Literal["t_junction", "corridor", "grid", "town"] = Field(
+    network: NetworkName = Field(
         "t_junction", description="built-in network that is used without net and sumocfg"
     )
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import yaml
 from pydantic import Field, ValidationError
 
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from sim_host.networks import NETWORKS
+from sim_host.config import NetworkName
 from studies.sweep.study_file import Name, Seed
 
 BENCH = "control"
 """Value of `bench` at the top of a study file of this kind."""
-NETS = ("t_junction", "moving_peak", *NETWORKS)
+NETS = ("moving_peak", *get_args(NetworkName))
 """Nets that are built in.
 
 `moving_peak` is `t_junction` with a demand that no fixed plan fits. Of nets with several signals

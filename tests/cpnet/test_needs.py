@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import subprocess
 import sys
 from importlib import import_module
 
@@ -71,3 +72,11 @@ def test_environments_without_their_packages_say_what_to_install(monkeypatch) ->
 def test_other_detectors_need_neither(name, without) -> None:
     without("open3d", "torch")
     needs.check_detector(name)
+
+
+def test_the_command_line_starts_without_the_compiled_functions() -> None:
+    code = (
+        "import sys, cpnet.cli; print(*({'numba', 'scipy', 'libsumo', 'zenoh'} & {*sys.modules}))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == []

@@ -160,7 +160,7 @@ def test_an_upload_policy_must_be_one(bad) -> None:
 
 def test_a_plugin_that_cannot_be_imported_stops_before_the_start(bad, installed) -> None:
     check(scenarios.load("t_junction", {"edge.detector": "grid"}).edge)
-    from signal_controller.policies import check_policy as check_policy
+    from signal_controller.config import check_policy
 
     with pytest.raises(ConfigError, match=r"lost of bad-package 1\.0 cannot be imported"):
         check_policy(scenarios.load("t_junction", {"signal.policy": "lost"}).signal)

@@ -9,9 +9,9 @@ import pytest
 from protocol.errors import ConfigError
 from protocol.messages import LaneCounts, SignalState
 from protocol.roadmap import Link, PlanPhase, Signal
-from signal_controller.config import SignalConfig
+from signal_controller.config import SignalConfig, check_policy
 from signal_controller.observation import Observation, SignalSite
-from signal_controller.policies import Decision, check_policy, fixed, policy_of, pressure
+from signal_controller.policies import Decision, fixed, policy_of, pressure
 from signal_controller.queue_estimator import MIN_COVERAGE, extrapolated
 from tests.example_plugins import pretend
 from tests.roads import lane, one_junction
