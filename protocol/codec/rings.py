@@ -21,27 +21,103 @@ from protocol.limits import MAX_BEAMS, MAX_CELL_EDGE_M, MAX_POINTS
 from protocol.scans import Floats, Floats32
 
 _NEAREST_M = 1e-3
+_BIN_RAD = 2.5e-4  # of elevation; rings lie at least eight of these apart
+_REACH = 3  # bins to either side that belong to a ring
+_BINS = int(np.pi / _BIN_RAD) + 2
+_AZIMUTHS = 1 << 16
+_PERIOD = 4096
+_WAVE = np.cos((np.arange(_PERIOD) + 0.5) * (2 * np.pi / _PERIOD))
 
 
 @njit(
-    "void(float64[:,::1], float64[:,::1], float64[:,::1], int64[::1], int64[::1], float64[::1], "
-    "float64[::1])",
+    "void(float64[:,::1], float64[::1], float64[::1], int64[::1])",
+    cache=True,
+    nogil=True,
+)
+def measure_angles(points: Floats, elevation: Floats, azimuth: Floats, bins: I8) -> None:
+    """Fills elevation and azimuth of each point (N, 3), and the bin of its elevation."""
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        elevation[n] = np.arctan2(z, np.sqrt(x * x + y * y))
+        azimuth[n] = np.arctan2(y, x)
+        bins[n] = int((elevation[n] + np.pi / 2) / _BIN_RAD) + _REACH
+
+
+@njit(
+    "void(float64[:,::1], float64[::1], int64[::1], float64[::1], float64[::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def weigh_rings(
+    points: Floats, elevation: Floats, ring: I8, rough: Floats, total: Floats, away: Floats
+) -> None:
+    """Adds up, by ring, how far points are above its `rough` elevation, the far ones counting most.
+
+    Args:
+        points: (N, 3).
+        elevation: of each point.
+        ring: of each point.
+        rough: elevation of each ring.
+        total: zeros, filled with each ring's weights.
+        away: zeros, filled with each ring's weighted sum.
+    """
+    for n in range(len(points)):
+        at = ring[n]
+        above = elevation[n] - rough[at]
+        if abs(above) <= (_REACH + 0.5) * _BIN_RAD:
+            weight = points[n, 0] ** 2 + points[n, 1] ** 2
+            total[at] += weight
+            away[at] += weight * above
+
+
+@njit(
+    "void(float64[::1], int64[::1], float64, float64[::1], float64[::1])",
+    cache=True,
+    nogil=True,
+)
+def turn_phases(azimuth: Floats, ring: I8, columns: float, cos: Floats, sin: Floats) -> None:
+    """Adds up, by ring, the cosines and sines of where in a column's width its points lie."""
+    for n in range(len(azimuth)):
+        turn = int(np.floor(azimuth[n] * (columns * (_PERIOD / (2 * np.pi)))))
+        cos[ring[n]] += _WAVE[turn % _PERIOD]
+        sin[ring[n]] += _WAVE[(turn - _PERIOD // 4) % _PERIOD]
+
+
+@njit(
+    "void(float64[:,::1], float64[::1], float64[:,::1], float64[:,::1], int64[::1], int64[::1], "
+    "float64[::1], float64[::1])",
     cache=True,
     nogil=True,
 )
 def measure_beams(
     points: Floats,
+    azimuth: Floats,
     turns: Floats,
     azimuths: Floats,
     ring: I8,
-    column: I8,
+    beam: I8,
     range_m: Floats,
     beside_m: Floats,
 ) -> None:
-    """Fills how far along its beam and how far beside it each point (N, 3) lies."""
+    """Fills the beam of each point (N, 3), how far along that and how far beside it the point lies.
+
+    Args:
+        points: in the sensor frame.
+        azimuth: of each point.
+        turns: of each ring, as `Rings.spin`, and in a column's width where it fires (rings, 4).
+        azimuths: of each column, as `Rings.spin`.
+        ring: of each point.
+        beam: filled with ring times columns plus column.
+        range_m: filled.
+        beside_m: filled.
+    """
+    columns = len(azimuths)
     for n in range(len(points)):
+        place = azimuth[n] * (columns / (2 * np.pi)) - turns[ring[n], 3]
+        column = int(np.rint(place)) % columns
+        beam[n] = ring[n] * columns + column
         out, side = turns[ring[n], 0], turns[ring[n], 1]
-        a, b = azimuths[column[n], 0], azimuths[column[n], 1]
+        a, b = azimuths[column, 0], azimuths[column, 1]
         # What the decoder multiplies is float32, and so is what the image holds.
         along_x, along_y = np.float32(out * a - side * b), np.float32(side * a + out * b)
         along_z = np.float32(turns[ring[n], 2])
@@ -94,18 +170,12 @@ Ints = npt.NDArray[np.int64]
 MAX_RINGS = 512
 _HEAD = struct.Struct("<Id")
 _MIN_POINTS = 256
-_BIN_RAD = 2.5e-4  # of elevation; rings lie at least eight of these apart
-_REACH = 3  # bins to either side that belong to a ring
 _MISFITS = 0.2  # more than this share: not the cloud of one spinning LiDAR
-_BINS = int(np.pi / _BIN_RAD) + 2
 _FULL_RINGS = 8  # those with the most points determine the columns
 _SAMPLE = 4096  # of points
 _USUAL = 0.99  # of the points decide how far beside its beam a point may lie
 _BEAM_SHARE = (0.1, 0.6)  # of the bound, at least and at most
-_AZIMUTHS = 1 << 16
-_WAVE = np.cos((np.arange(4096) + 0.5) * (2 * np.pi / 4096))  # a period
-_SURE_MISFITS, _SURE_FILLED, _SURE_ROOM_M = 0.01, 0.25, 0.12
-_SURE_BESIDE = 0.15  # of the bound
+_SECTORS, _SAMPLE_SHARE, _LEAST_SAMPLE = 8, 1 / 8, 2048  # of a sample: its share, its points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,17 +239,22 @@ class RingImage:
     order: Ints
     misfits: Ints
 
-    def is_sure(self, room_m: float) -> bool:
-        """Whether the image certainly takes fewer bytes than an octree, so that none need be made.
-
-        It does where next to all points fit, hardly beside their beams, and the beams between them
-        are few: then it took 0.26 to 0.86 of the octree's bytes, at bounds to 10 cm. Of scans of a
-        moving car that fit less well it took up to 1.32.
-        """
-        filled = len(self.order) / self.range_m.size
-        few = len(self.misfits) <= _SURE_MISFITS * len(self.order)
-        well = self.beside_m <= _SURE_BESIDE * room_m
-        return few and well and filled >= _SURE_FILLED and room_m <= _SURE_ROOM_M
+    def sectors(self, points: Floats) -> RingImage:
+        """Returns what lies in narrow sectors to all sides, a sample of the cloud (N, 3)."""
+        seen = np.flatnonzero(self.range_m.any(axis=0))
+        share = max(_SAMPLE_SHARE, _LEAST_SAMPLE / len(points))
+        rank = np.arange(len(seen)) * _SECTORS % len(seen)
+        kept = np.zeros(self.rings.columns, np.bool_)
+        kept[seen[rank < share * len(seen)]] = True
+        owner = np.full(self.range_m.shape, -1, np.int64)
+        owner[self.range_m > 0] = self.order
+        order = owner[:, kept]
+        away = points[self.misfits]
+        turn = np.arctan2(away[:, 1], away[:, 0]) / (2 * np.pi)
+        column = np.floor(turn * self.rings.columns).astype(np.int64) % self.rings.columns
+        image = np.ascontiguousarray(self.range_m[:, kept])
+        misfits = self.misfits[kept[column]]
+        return RingImage(self.rings, image, self.beside_m, order[order >= 0], misfits)
 
 
 def find_rings(points: Floats, room_m: float) -> RingImage | None:
@@ -191,22 +266,21 @@ def find_rings(points: Floats, room_m: float) -> RingImage | None:
     """
     if len(points) < _MIN_POINTS:
         return None
-    x, y, z = points.T
-    flat = np.hypot(x, y)
-    elevation, azimuth = np.arctan2(z, flat), np.arctan2(y, x)
-    bins = ((elevation + np.pi / 2) * (1 / _BIN_RAD)).astype(np.int64) + _REACH
+    points = np.ascontiguousarray(points)
+    elevation, azimuth = np.empty(len(points)), np.empty(len(points))
+    bins = np.empty(len(points), np.int64)
+    measure_angles(points, elevation, azimuth, bins)
     rough = _peaks(bins)
     if not 1 <= len(rough) <= MAX_RINGS:
         return None
     ring = _nearest(rough)[bins]
-    middles = _middles(rough, ring, elevation, flat)
+    middles = _middles(rough, points, ring, elevation)
     columns = _columns(ring, azimuth)
     if columns < 8 or columns * len(middles) > MAX_BEAMS:
         return None
-    place = azimuth * (columns / (2 * np.pi))
-    rings = Rings(middles.astype(np.float32), _phases(ring, place, len(middles)), columns)
-    column = np.round(place - (rings.azimuths / _AZIMUTHS)[ring]).astype(np.int64) % columns
-    return _image(points, rings, ring, column, room_m)
+    phases = _phases(ring, azimuth, columns, len(middles))
+    rings = Rings(middles.astype(np.float32), phases, columns)
+    return _image(points, azimuth, rings, ring, room_m)
 
 
 def _peaks(bins: Ints) -> Ints:
@@ -233,13 +307,12 @@ def _nearest(peaks: Ints) -> Ints:
     return result
 
 
-def _middles(peaks: Ints, ring: Ints, elevation: Floats, flat: Floats) -> Floats:
+def _middles(peaks: Ints, points: Floats, ring: Ints, elevation: Floats) -> Floats:
     """Returns the elevations of rings: means over the points nearby, the far ones counting most."""
     rough = (peaks - _REACH + 0.5) * _BIN_RAD - np.pi / 2
-    away = elevation - rough[ring]
-    weight = np.where(np.abs(away) <= (_REACH + 0.5) * _BIN_RAD, flat**2, 0.0)
-    total = np.bincount(ring, weight, len(peaks))
-    result: Floats = rough + np.bincount(ring, weight * away, len(peaks)) / np.maximum(total, 1e-9)
+    total, away = np.zeros(len(peaks)), np.zeros(len(peaks))
+    weigh_rings(points, elevation, ring, rough, total, away)
+    result: Floats = rough + away / np.maximum(total, 1e-9)
     return result
 
 
@@ -256,20 +329,21 @@ def _columns(ring: Ints, azimuth: Floats) -> int:
     return round(2 * np.pi / float(single.mean()))
 
 
-def _phases(ring: Ints, place: Floats, channels: int) -> npt.NDArray[np.uint16]:
+def _phases(ring: Ints, azimuth: Floats, columns: int, channels: int) -> npt.NDArray[np.uint16]:
     """Returns where in a column's width each ring fires, in 1/65536."""
-    turn = np.floor(place * len(_WAVE)).astype(np.int64)
-    cos = np.bincount(ring, _WAVE[turn % len(_WAVE)], channels)
-    sin = np.bincount(ring, _WAVE[(turn - len(_WAVE) // 4) % len(_WAVE)], channels)
+    cos, sin = np.zeros(channels), np.zeros(channels)
+    turn_phases(azimuth, ring, columns, cos, sin)
     share = np.arctan2(sin, cos) / (2 * np.pi)
     return (np.round(share * _AZIMUTHS).astype(np.int64) % _AZIMUTHS).astype(np.uint16)
 
 
 def _image(
-    points: Floats, rings: Rings, ring: Ints, column: Ints, room_m: float
+    points: Floats, azimuth: Floats, rings: Rings, ring: Ints, room_m: float
 ) -> RingImage | None:
     range_m, beside_m = np.empty(len(points)), np.empty(len(points))
-    measure_beams(np.ascontiguousarray(points), *rings.spin, ring, column, range_m, beside_m)
+    beam, (turns, azimuths) = np.empty(len(points), np.int64), rings.spin
+    turns = np.column_stack([turns, rings.azimuths / _AZIMUTHS])
+    measure_beams(points, azimuth, turns, azimuths, ring, beam, range_m, beside_m)
     sample = beside_m[:: max(1, len(points) // _SAMPLE)]
     usual_m = 1.1 * float(np.quantile(sample, _USUAL))
     reach_m = min(_BEAM_SHARE[1] * room_m, max(_BEAM_SHARE[0] * room_m, usual_m))
@@ -278,7 +352,6 @@ def _image(
     beams = len(rings.elevations) * rings.columns
     image, owner = np.zeros(beams, np.float32), np.full(beams, -1, np.int32)
     misfits = np.empty(len(points), np.int64)
-    beam = ring * rings.columns + column
     count = assign_beams(beam, range_m, beside_m, reach_m, image, owner, misfits)
     if count > _MISFITS * len(points):
         return None

@@ -161,8 +161,21 @@ def test_a_cloud_takes_the_smaller_of_its_forms(bound_m):
         assert len(encode_cloud(plain, bound_m)) <= tree + PREFIX.size + 40  # lengths of sections
 
 
-def test_rings_beside_which_points_lie_are_compared_with_an_octree():
-    image = find_rings(ringed().astype(np.float64), 0.1)
-    assert image is not None
-    assert image.is_sure(0.1)
-    assert not replace(image, beside_m=0.025).is_sure(0.1)
+def test_a_sample_has_points_to_all_sides_and_those_beside_the_rings():
+    points = np.concatenate([smeared(), np.full((100, 3), 7, np.float32)]).astype(np.float64)
+    image = find_rings(points, 0.1)
+    sample = image.sectors(points)
+    assert len(sample.range_m) == len(image.rings.elevations)
+    assert sample.range_m.shape[1] == pytest.approx(image.rings.columns / 8, rel=0.05)
+    kept = points[np.concatenate([sample.order, sample.misfits])]
+    assert len(kept) == pytest.approx(len(points) / 8, rel=0.1)
+    sector = (np.degrees(np.arctan2(kept[:, 1], kept[:, 0])) // 45).astype(np.int64) % 8
+    assert np.bincount(sector).tolist() == pytest.approx([len(kept) / 8] * 8, rel=0.1)
+    assert np.count_nonzero(sample.range_m) == len(sample.order)
+
+
+def test_of_what_is_seen_in_one_direction_alone_there_is_a_sample_too():
+    points = ringed().astype(np.float64)
+    ahead = points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(20)]
+    sample = find_rings(ahead, 0.05).sectors(ahead)
+    assert len(sample.order) + len(sample.misfits) >= min(2048, len(ahead)) * 0.9
