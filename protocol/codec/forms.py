@@ -165,6 +165,8 @@ def _pack_cloud(points: Floats, room: float) -> _Packed:
     image = find_rings(points, room)
     if image is None:
         return _pack_tree(points, room)
+    if image.is_sure(room):
+        return _pack_rings(points, image, room)
     try:
         ratio, error = _sampled_ratio(image, points, room)
         tree = _pack_tree(points, room) if ratio > 1 - error else None

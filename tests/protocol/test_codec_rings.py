@@ -179,3 +179,10 @@ def test_of_what_is_seen_in_one_direction_alone_there_is_a_sample_too():
     ahead = points[np.abs(np.arctan2(points[:, 1], points[:, 0])) < np.radians(20)]
     sample = find_rings(ahead, 0.05).sectors(ahead)
     assert len(sample.order) + len(sample.misfits) >= min(2048, len(ahead)) * 0.9
+
+
+def test_only_rings_beside_which_no_points_lie_are_taken_without_a_sample():
+    image = find_rings(ringed().astype(np.float64), 0.1)
+    assert image is not None
+    assert image.is_sure(0.1)
+    assert not replace(image, beside_m=0.025).is_sure(0.1)
