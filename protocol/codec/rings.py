@@ -242,7 +242,7 @@ class RingImage:
     misfits: Ints
 
     def is_sure(self, room_m: float) -> bool:
-        """Whether the image certainly takes fewer bytes than an octree, so that no sample is needed.
+        """Whether the image certainly takes fewer bytes than an octree: no sample is needed.
 
         It does where next to all points fit, hardly beside their beams, and the beams between them
         are few: then it took 0.26 to 0.86 of the octree's bytes, at bounds to 10 cm.
