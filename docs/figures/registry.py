@@ -114,6 +114,19 @@ def _rows_of(folder: str) -> str:
     return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
 
 
+def _network(name: str, minutes: int, *more: str) -> Figure:
+    """Returns the figure of policies, and of more of them, on a built-in net of several signals."""
+    policies = ", ".join(["webster", "actuated", "max_pressure", *more, "predictive"])
+    return Figure(
+        name,
+        f"cpnet study control_city --set 'nets={{{name}: [1]}}' "
+        f"--set 'policies=[{policies}]' --out {name} --json",
+        (*CONTROL, "studies/builtin/control_city.yaml"),
+        minutes,
+        (Part("all", "docs/control.md", comparison.tuned_networks),),
+    )
+
+
 def _loop(name: str, page: str, minutes: int, study: str = "", needs: str = "") -> Figure:
     """Returns control on perception beside tuned baselines; `study` is run, with its options."""
     return Figure(
@@ -427,15 +440,9 @@ _LIST = (
         20,
         (Part("all", "docs/control.md", comparison.tuned),),
     ),
-    Figure(
-        "corridor",
-        "cpnet study control_city --set 'nets={corridor: [1]}' "
-        "--set 'policies=[webster, actuated, max_pressure, max_wave, predictive]' "
-        "--out corridor --json",
-        (*CONTROL, "studies/builtin/control_city.yaml"),
-        15,
-        (Part("all", "docs/control.md", comparison.tuned_networks),),
-    ),
+    _network("corridor", 15, "max_wave"),
+    _network("grid", 25),
+    _network("town", 45),
     _loop("t", "docs/control.md", 40),
     _loop("paper", "docs/control.md", 55),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
