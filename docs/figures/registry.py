@@ -442,7 +442,6 @@ _LIST = (
     ),
     _network("corridor", 15, "max_wave"),
     _network("grid", 25),
-    _network("town", 45),
     _loop("t", "docs/control.md", 40),
     _loop("paper", "docs/control.md", 55),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
