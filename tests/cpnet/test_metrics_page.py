@@ -271,12 +271,12 @@ def test_a_page_may_be_asked_for_while_the_tally_grows():
         n = 0
         while not stop.is_set():
             n += 1
-            run_metrics.take(metrics(f"p{n % 300}", drops={f"r{n % 90}": n}))
+            run_metrics.take(metrics(f"p{n % 300}", drops={f"r{n % 7}": n}))
 
     growing = threading.Thread(target=grow)
     growing.start()
     try:
-        for _ in range(20):
+        for _ in range(10):
             page(run_metrics)
     finally:
         stop.set()

@@ -59,7 +59,7 @@ def test_weighted_pressures_choose_where_the_nearest_or_longest_waiting_are(kind
 
 def test_a_net_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
-        ConfigError, match="must be t_junction, moving_peak, .* town, a .sumocfg or a folder"
+        ConfigError, match="must be moving_peak, t_junction, .* town, a .sumocfg or a folder"
     ):
         run_case(ControlCase(str(tmp_path), "predictive"))
 
