@@ -125,4 +125,4 @@ class FastDetector:
             )
             if not self.config.solid_only:
                 return found
-            return solid_of(found, cloud, self.roadway, seen_only=True)
+            return solid_of(found, cloud, self.roadway, unmapped=True)

@@ -37,7 +37,7 @@ def detector_of(config: DetectionConfig, roadway: Roadway) -> Detector:
         case name if name in LEARNED:
             with _torch_needed(name):
                 from perception.pillars.detector import pillars_detector
-            return pillars_detector(name, config.pillars, roadway, seen_only=config.solid_only)
+            return pillars_detector(name, config.pillars, roadway, unmapped=config.solid_only)
         case name:
             from perception.detector import PluginDetector
 

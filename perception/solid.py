@@ -33,6 +33,8 @@ BINS = 720  # of directions around a sensor
 LEAST = 5  # fewer points show nothing
 DEEP_M = 1.3  # behind the side of a box that a ray meets: no body of a vehicle is seen there
 MOST_DEEP = 0.5  # of a box's points between LOW_M and its windows
+# Of cars found on generated streets with hedges, shelters and houses, without a geofence, this
+# loses 0.4 %, and the length at the roof 0.3 %; of what is taken for cars there 9 and 7 %.
 _COUNTS = 9
 BLOCK_M = 1.75  # a car's height from where on it may be as long above as below: a van
 SILLS, ROOF = 0.6, 0.8  # of the height: below and above them the lengths are compared
@@ -58,11 +60,12 @@ points, 4 % are seen by less, so that it is asked for only where there is no roa
 
 
 def solid_of(
-    found: Vehicles, cloud: Cloud, roadway: Roadway, *, seen_only: bool = False
+    found: Vehicles, cloud: Cloud, roadway: Roadway, *, unmapped: bool = False
 ) -> Vehicles:
     """Returns those vehicles of a cloud, map frame, whose boxes may be vehicles.
 
-    Boxes are taken to stand on the ground. If `seen_only`, those hardly seen are left out too.
+    Boxes are taken to stand on the ground. Where roads are `unmapped`, so that hedges and houses
+    stand on what is taken for them, those hardly seen, open ones and blocks are left out too.
     """
     parts = [*cloud.near, *cloud.bare]
     points, road_m = merge(parts)
@@ -72,8 +75,11 @@ def solid_of(
     sizes = np.array([len(part.points) for part in parts], np.int64)
     height_m = points[:, 2] - road_m
     observed = observations_of(boxes, points, height_m, sizes, sensors)
-    kept = are_solid(found.classes, observed) & ~are_blocks(boxes, found.classes, observed)
-    return found.take(kept & are_seen(observed) if seen_only else kept)
+    kept = are_solid(found.classes, observed)
+    if unmapped:
+        kept &= are_seen(observed) & ~are_open(found.classes, observed)
+        kept &= ~are_blocks(boxes, found.classes, observed)
+    return found.take(kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +107,13 @@ def are_seen(observed: Observations) -> Bools:
     return np.asarray(enough & (observed.seen >= LEAST_SEEN))
 
 
+def are_open(classes: Bytes, observed: Observations) -> Bools:
+    """Marks the boxes (N,) of cars and lorries that rays go deep into."""
+    below, deep = observed.deep.T
+    is_deep = (deep >= LEAST) & (deep >= MOST_DEEP * below)
+    return np.asarray(is_deep & (classes <= ObjectClass.TRUCK))
+
+
 def are_blocks(boxes: Floats, classes: Bytes, observed: Observations) -> Bools:
     """Marks the boxes (N, 7) of cars lower than a van (N,) that have no bonnet."""
     sills_m, roof_m = observed.long_m.T
@@ -118,9 +131,7 @@ def are_solid(classes: Bytes, observed: Observations) -> Bools:
     goes_on = (beyond_m.max(axis=1) >= one_m) | (beyond_m.min(axis=1) >= both_m)
     most = np.array([MOST.get(ObjectClass(kind), SLENDER) for kind in classes]).reshape(-1, 3)
     speaks = (counts[:, 1:] >= LEAST) & (counts[:, 1:] > most * np.maximum(counts[:, :1], 1))
-    below, deep = observed.deep.T
-    is_open = (deep >= LEAST) & (deep >= MOST_DEEP * below) & (classes <= ObjectClass.TRUCK)
-    return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2]) | goes_on | is_open))
+    return np.asarray(~(speaks[:, 0] | (speaks[:, 1] & speaks[:, 2]) | goes_on))
 
 
 def observations_of(
@@ -152,7 +163,9 @@ def observations_of(
             counts += seen_by
     beyond_m = _beyond_m(is_upper, np.ascontiguousarray(boxes[:, 3]))
     long_m = np.where(
-        (counts[:, 7:] >= LEAST_BLOCK).all(axis=1, keepdims=True), ends_m[:, 1::2] - ends_m[:, ::2], 0.0
+        (counts[:, 7:] >= LEAST_BLOCK).all(axis=1, keepdims=True),
+        ends_m[:, 1::2] - ends_m[:, ::2],
+        0.0,
     )
     return Observations(counts[:, :4], beyond_m, seen, counts[:, 5:7], long_m)
 

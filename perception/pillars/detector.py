@@ -212,12 +212,12 @@ class PillarsDetector:
     """Detects vehicles by PointPillars in clouds placed on `roadway`."""
 
     def __init__(
-        self, engine: Engine, roadway: Roadway, config: PillarsDetection, *, seen_only: bool = False
+        self, engine: Engine, roadway: Roadway, config: PillarsDetection, *, unmapped: bool = False
     ) -> None:
         self._engine = engine
         self._roadway = roadway
         self._config = config
-        self._seen_only = seen_only
+        self._unmapped = unmapped
 
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
         """See `perception.detector.Detector.detect`."""
@@ -236,7 +236,7 @@ class PillarsDetector:
             boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway)
             boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
             found = Vehicles.from_lidar(boxes, scores, classes)
-            return solid_of(found, cloud, self._roadway, seen_only=self._seen_only)
+            return solid_of(found, cloud, self._roadway, unmapped=self._unmapped)
 
     def _ask(
         self, points: Floats32, height_m: Floats32, windows: list[Window]
@@ -260,7 +260,7 @@ class PillarsDetector:
 
 
 def pillars_detector(
-    name: str, config: PillarsDetection, roadway: Roadway, *, seen_only: bool = False
+    name: str, config: PillarsDetection, roadway: Roadway, *, unmapped: bool = False
 ) -> PillarsDetector:
     """Builds `pointpillars` or `pointpillars-full`, with the shipped weights or the user's.
 
@@ -269,7 +269,7 @@ def pillars_detector(
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     engine = Engine(network_of(name, config), device, half=computes_in_half(device))
-    return PillarsDetector(engine, roadway, config, seen_only=seen_only)
+    return PillarsDetector(engine, roadway, config, unmapped=unmapped)
 
 
 def computes_in_half(device: torch.device) -> bool:

@@ -1,7 +1,8 @@
 """Delays over a lossy path: kernel TCP, the relay, and the link in simulated time; needs root.
 
 `python -m tests.link_relay.lossy_bench` prints a row for each path as JSON. The same packets are
-lost in all three, by their numbers: a minute of messages for each seed, several at a time.
+lost in all three, by their numbers: a minute of messages for each seed, several at a time. Ratios
+to the kernel's delays have intervals of a bootstrap over the seeds, the same ones in both.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from sensing.link_channel import Channel
 from sensing.link_config import profile_named
@@ -27,6 +29,9 @@ from tests.kernel_path import KernelPath, lossy_connection
 from tests.link_relay.sink import Rig
 
 _PACKETS = 60_000  # whose losses are given: more than a path sends
+_RESAMPLES = 1000
+
+Ints = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +42,14 @@ class LossyCase:
     size_bytes: int
     period_s: float
     messages: int
-    seeds: int = 3  # a minute each; more where losses are so rare that a few decide the percentile
+    seeds: int = 6  # a minute each; more where losses are so rare that a few decide the percentile
 
 
 CASES = (
     LossyCase("6mbit,50ms,1%", 33_000, 0.2, 300),
-    LossyCase("6mbit,50ms,0.3%", 33_000, 0.1, 600, seeds=12),
+    LossyCase("6mbit,50ms,0.3%", 33_000, 0.1, 600, seeds=48),
     LossyCase("10mbit,20ms,1%", 33_000, 0.1, 600, seeds=12),
-    LossyCase("20mbit,50ms,0.5%x3", 33_000, 0.1, 600),
+    LossyCase("20mbit,50ms,0.5%x3", 33_000, 0.1, 600, seeds=48),
     LossyCase("5mbit,20ms,1%", 7_000, 0.1, 600),
     LossyCase("5mbit,20ms,2%x2", 7_000, 0.1, 600),
     LossyCase("3mbit,100ms,1%", 7_000, 0.2, 300),
@@ -60,7 +65,7 @@ class Delays:
     p95_ms: float
 
     @classmethod
-    def of(cls, delays_ns: list[int]) -> Delays:
+    def of(cls, delays_ns: list[int] | Ints) -> Delays:
         """Summarises single delays."""
         return cls(float(np.mean(delays_ns)) / 1e6, float(np.percentile(delays_ns, 95)) / 1e6)
 
@@ -135,9 +140,35 @@ def delays(case: LossyCase, seed: int) -> dict[str, list[int]]:
 
 
 def row(case: LossyCase, of_seeds: list[dict[str, list[int]]]) -> dict[str, object]:
-    """Returns the case beside the delays of its seeds together, by form."""
-    every = {name: [ns for one in of_seeds for ns in one[name]] for name in FORMS}
-    return {**asdict(case), **{name: asdict(Delays.of(one)) for name, one in every.items()}}
+    """Returns the case beside the delays of its seeds together, by form, and ratios to kernel's."""
+    every = {name: np.array([one[name] for one in of_seeds]) for name in FORMS}
+    of_kernel = {
+        name: asdict(ratios(every[name], every["kernel"])) for name in FORMS if name != "kernel"
+    }
+    return {
+        **asdict(case),
+        **{name: asdict(Delays.of(one)) for name, one in every.items()},
+        "of_kernel": of_kernel,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class Ratios:
+    """Of mean and 95th percentile to the kernel's: the ratio, and its 95 % interval."""
+
+    mean: tuple[float, float, float]
+    p95: tuple[float, float, float]
+
+
+def ratios(delays_ns: Ints, kernel_ns: Ints) -> Ratios:
+    """Compares delays (seeds, messages) with the kernel's of the same seeds."""
+    seeds, rng = len(delays_ns), np.random.default_rng(1)
+    drawn = [np.arange(seeds), *rng.integers(seeds, size=(_RESAMPLES, seeds))]
+    pairs = [(Delays.of(delays_ns[some]), Delays.of(kernel_ns[some])) for some in drawn]
+    mean = np.array([own.mean_ms / kernel.mean_ms for own, kernel in pairs])
+    p95 = np.array([own.p95_ms / kernel.p95_ms for own, kernel in pairs])
+    low, high = np.percentile([mean[1:], p95[1:]], [2.5, 97.5], axis=1).tolist()
+    return Ratios((float(mean[0]), low[0], high[0]), (float(p95[0]), low[1], high[1]))
 
 
 def _in_realtime() -> None:
@@ -148,7 +179,7 @@ def _in_realtime() -> None:
 def main() -> None:
     """Runs all cases, some seeds at a time, and prints a row for each case."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--jobs", type=int, default=4, help="seeds at a time")
+    parser.add_argument("--jobs", type=int, default=8, help="seeds at a time")
     given = parser.parse_args()
     runs = [(case, seed) for case in CASES for seed in range(1, case.seeds + 1)]
     spawning = multiprocessing.get_context("spawn")

@@ -8,7 +8,7 @@ from perception.config import DetectionConfig
 from perception.detector import Cloud
 from perception.fast import FastDetector
 from perception.roadway import Placed, Roadway
-from perception.solid import are_blocks, are_seen, are_solid, observations_of
+from perception.solid import are_blocks, are_open, are_seen, are_solid, observations_of
 from protocol.messages import ObjectClass
 from recording.foreign_scans.ground import Ground
 from recording.foreign_scans.importer import open_ground
@@ -76,11 +76,16 @@ def test_a_hedge_that_goes_on_beyond_a_box_is_no_car_and_a_queue_of_cars_is_no_h
 def test_a_back_that_is_seen_through_the_near_side_is_a_bus_shelter_and_not_a_van():
     box = np.array([[0.0, 6.0, 1.1, 5.0, 2.0, 2.2, 0.0]])
     near, back = (upright(np.linspace(-2.3, 2.3, 60), y, 2.2) for y in (5.05, 6.9))
-    assert solid(box, CARS, near)
-    assert not solid(box, CARS, back)
-    assert solid(box, CARS, near, back[:200])  # through its windows, say
     people = np.array([ObjectClass.PEDESTRIAN], np.uint8)
-    assert solid(box, people, back)
+    for classes, points, is_open in (
+        (CARS, near, False),
+        (CARS, back, True),
+        (TRUCKS, back, True),
+        (people, back, False),
+        (CARS, np.concatenate([near, back[:200]]), False),  # through its windows, say
+        (CARS, back[:4], False),
+    ):
+        assert are_open(classes, observed(box, points)).tolist() == [is_open]
 
 
 def test_a_block_as_long_at_the_roof_as_at_the_sills_is_a_car_only_if_it_is_a_van():

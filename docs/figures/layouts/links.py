@@ -85,17 +85,20 @@ def emulated(runs: Rows) -> Table:
 
 
 def lossy(rows: Rows) -> Table:
-    """Returns mean and p95 of delay over lossy paths: the kernel's TCP and both of ours."""
-    forms = ("kernel", "virtual", "emulated")
-    heads = [f"{form}, mean / p95, ms" for form in forms]
-    table = [["link", "message", "every", "messages", *heads]]
+    """Returns mean and p95 of delay over lossy paths: the kernel's TCP, and both of ours beside."""
+    terms = ("mean", "p95")
+    heads = [f"{form} / kernel, {term}" for form in ("virtual", "emulated") for term in terms]
+    table = [["link", "message", "every", "minutes", "kernel, mean / p95, ms", *heads]]
     for row in rows:
-        cells = [
-            f"{fixed(row[form]['mean_ms'], 1)} / {fixed(row[form]['p95_ms'], 1)}" for form in forms
-        ]
         size, period = f"{row['size_bytes'] / 1e3:g} kB", f"{row['period_s']:g} s"
-        count = str(row["messages"] * row["seeds"])
-        table.append([f"`{row['link']}`", size, period, count, *cells])
+        minutes = f"{row['messages'] * row['seeds'] * row['period_s'] / 60:g}"
+        kernel = " / ".join(fixed(row["kernel"][f"{term}_ms"], 1) for term in terms)
+        ratios = [
+            "{:.2f} ({:.2f} to {:.2f})".format(*row["of_kernel"][form][term])
+            for form in ("virtual", "emulated")
+            for term in terms
+        ]
+        table.append([f"`{row['link']}`", size, period, minutes, kernel, *ratios])
     return table
 
 
