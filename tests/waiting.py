@@ -9,6 +9,9 @@ TIMEOUT_S = 300.0
 """Far more than a loaded machine needs: only what never comes true waits that long."""
 
 _POLL_S = 0.002
+_LONGEST_PAUSE_S = 0.1
+_PAUSE_SHARE = 4
+"""A pause is so many times as long as the question took: what is waited for needs the core."""
 
 
 class Running(Protocol):
@@ -36,8 +39,10 @@ def wait_until(
     give_up_ns = time.monotonic_ns() + round(timeout_s * 1e9)
     while True:
         ended = needs is not None and needs.poll() is not None
+        asked_ns = time.monotonic_ns()
         if answer := holds():
             return answer
+        took_s = (time.monotonic_ns() - asked_ns) / 1e9
         assert not ended, f"the process that it depends on has ended: {missing()}"
         assert time.monotonic_ns() < give_up_ns, missing()
-        time.sleep(_POLL_S)
+        time.sleep(min(max(_POLL_S, _PAUSE_SHARE * took_s), _LONGEST_PAUSE_S))

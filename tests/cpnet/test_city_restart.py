@@ -71,7 +71,7 @@ def frames_until_right(run_dir: Path, since_ns: int) -> int:
 class Kill:
     """How many frames it took until all was right; those missed by regions that were to go on.
 
-    `loading_s` is how long it took then to load the programs.
+    `loading_s` is how long it took then to load the programs, 0 where that decides nothing.
     """
 
     frames: int
@@ -104,7 +104,8 @@ def kill_once(command: Command, run_dir: Path, victim: str) -> Kill:
     regions = json.loads((run_dir / "scenario.json").read_text())["regions"]
     signals = [tls for region in GO_ON[victim] for tls in regions[region]]
     missed = [n for n in meanwhile if any((n, tls) not in asked for tls in signals)]
-    return Kill(frames, missed, loading_s())
+    is_late = frames * PERIOD_S > AGAIN_S
+    return Kill(frames, missed, loading_s() if is_late and not missed else 0.0)
 
 
 @dataclass(frozen=True, slots=True)

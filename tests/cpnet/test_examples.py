@@ -47,7 +47,7 @@ def test_a_detector_of_ones_own_sees_vehicles(tmp_path) -> None:
 
 
 def test_a_controller_of_ones_own_is_compared(tmp_path) -> None:
-    options = ["--duration", "10", "--seeds", "1", "--channels", "16"]
+    options = ["--duration", "5", "--seeds", "1", "--channels", "16"]
     printed = run_example("own_controller.py", *options, cwd=tmp_path)
     assert [line.split()[0] for line in printed.splitlines()] == [
         "soonest",

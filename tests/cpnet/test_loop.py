@@ -50,7 +50,7 @@ def test_one_process_without_a_network_gives_the_same_rows(shell, first_run):
 
 
 def test_planned_uploads_are_the_same_row_for_row_whatever_the_processes(shell):
-    reap = ("--duration=4", "--cav-rate=0.1", "--set=upload.policy=reap")
+    reap = ("--duration=3", "--cav-rate=0.1", "--set=upload.policy=reap")
     filtered = (*reap, "--set=upload.filters=[foreground]")
     for name, more in (("first", ()), ("second", ("--set=processes.vehicle=1",))):
         status, output = shell.up(*filtered, *more, f"--out={name}").finish()
@@ -138,7 +138,7 @@ def test_a_death_on_the_other_machine_ends_the_run_here(shell):
 
 
 def test_virtual_links_give_the_same_rows_whatever_the_number_of_processes(shell):
-    slow = ("--duration=6", "--link=lte-poor", "--set", "link.roadside_profile=500kbit,40ms")
+    slow = ("--duration=4", "--link=lte-poor", "--set", "link.roadside_profile=500kbit,40ms")
     for out, processes in (("first", 1), ("second", 2)):
         spread = f"processes.vehicle={processes}"
         status, output = shell.up(*slow, "--out", out, "--set", spread).finish()
@@ -213,7 +213,7 @@ def test_the_report_has_its_stable_keys(shell, first_run):
 
 @pytest.mark.parametrize("victim", ROLES)
 def test_a_killed_process_ends_the_run_within_5_s_by_name(shell, victim):
-    command = shell.up("--duration", "600", "--out", "run")
+    command = shell.up("--duration", "600", "--out", "run", "--set=traffic.warmup_s=5")
     command.read_until("vehicles")
     run_dir = shell.folder / "run"
     wait_for_frames(command, run_dir)

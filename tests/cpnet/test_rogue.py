@@ -7,6 +7,7 @@ message: wherever it arrived, it would be counted among the run's drops.
 import json
 import signal
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -171,16 +172,17 @@ def attacked(run: Run) -> Iterator[Run]:
 
 @pytest.mark.parametrize("bus", BusName)
 def test_nobody_connects_without_a_certificate_of_the_authority(attacked, bus):
-    for keys in (None, Keys.of(attacked.stranger, "vehicle-1"), Keys.of(attacked.stranger, "sim")):
-        with pytest.raises(zenoh.ZError):
-            attacked.client(bus, keys)
     mixed = Keys(
         attacked.keys / "ca.pem",
         attacked.stranger / "vehicle-1.pem",
         attacked.stranger / "vehicle-1.key",
     )
-    with pytest.raises(zenoh.ZError):
-        attacked.client(bus, mixed)
+    strangers = [Keys.of(attacked.stranger, name) for name in ("vehicle-1", "sim")]
+    with ThreadPoolExecutor() as pool:  # each tries for as long as it may
+        tries = [pool.submit(attacked.client, bus, keys) for keys in (None, *strangers, mixed)]
+    for one in tries:
+        with pytest.raises(zenoh.ZError):
+            one.result()
 
 
 def test_an_agent_hears_neither_truth_nor_counts_nor_what_other_agents_upload(attacked):

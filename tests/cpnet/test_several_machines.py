@@ -161,7 +161,7 @@ def test_behind_a_router_that_is_not_ours_the_rows_are_the_same(
 
 def test_scans_take_as_long_as_the_shaped_uplinks_say(machines: Machines):
     larger = ("--set=lidar.vehicle.points_per_second=720000", "--set=edge.deadline_ms=400")
-    machines.up("--mode=realtime", "--duration=12", *larger)
+    machines.up("--mode=realtime", "--duration=6", *larger)
     machines.finish()
     sql = (
         "SELECT payload_bytes, received_ns - encode_end_ns FROM uploads "
@@ -211,7 +211,7 @@ def test_a_router_that_is_not_ours_may_die_and_come_back(machines: Machines):
 
 
 def test_four_regions_on_four_hosts_give_the_same_rows_as_on_one(shell: Shell):
-    scenario = ("corridor", *SMALL, "--regions=4", "--cav-rate=0.2", "--duration=6")
+    scenario = ("corridor", *SMALL, "--regions=4", "--cav-rate=0.2", "--duration=4")
     status, output = shell.run("up", *scenario, "--out=here")
     assert status == 0, output
     with City() as city:
