@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.codec import planes
+from protocol.codec.beam_origin import FRAME_ORIGIN
 from protocol.codec.image_sections import Window, image_step_m, pack_image, unpack_image
 from protocol.codec.lattice import lattice_edge_m
 from protocol.codec.octree import pack_tree, unpack_tree
@@ -252,7 +253,7 @@ def _unpack_pattern(head: Head, reader: Reader) -> Floats32:
     spin, section = _pattern(head).spin, reader.section()
     if section:
         spin = Window.from_bytes(section, head.channels, head.columns).cut_spin(spin)
-    return unpack_image(head, reader, *spin, head.points)
+    return unpack_image(head, reader, spin, FRAME_ORIGIN, head.points)
 
 
 def _unpack_deltas(head: Head, reader: Reader) -> Floats32:
@@ -270,7 +271,7 @@ def _unpack_rings(head: Head, reader: Reader) -> Floats32:
         raise CodecError(
             f"scan claims {head.points} points, {misfits} of them beside {beams} beams"
         )
-    placed = unpack_image(head, reader, *rings.spin, head.points - misfits)
+    placed = unpack_image(head, reader, rings.spin, rings.origin, head.points - misfits)
     return np.concatenate([placed, unpack_tree(reader, misfits, edge_m)])
 
 

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from protocol.codec.beam_origin import BeamOrigin
 from protocol.codec.payload import Head, Reader
 from protocol.codec.prediction import (
     CONTEXT_OF,
@@ -151,15 +152,15 @@ def _scratch(channels: int, columns: int) -> tuple[U4, U4]:
 
 
 def unpack_image(
-    head: Head, reader: Reader, turns: Floats, azimuths: Floats, points: int
+    head: Head, reader: Reader, spin: tuple[Floats, Floats], origin: BeamOrigin, points: int
 ) -> Floats32:
     """Reads the sections of `pack_image` and returns points (points, 3), ring by ring.
 
     Args:
         head: of the payload.
         reader: at the image.
-        turns: (channels, 3), of each ring: how far out, how far round and how far up it points.
-        azimuths: (columns, 2), cosine and sine of each column.
+        spin: of the image's beams, as `ScanPattern.spin`.
+        origin: where they begin.
         points: how many the image claims, at most as many as it has beams.
 
     Raises:
@@ -178,7 +179,7 @@ def unpack_image(
     tables = _CONTEXTS.translate(tables.ljust(256)) + tables[-4:]
     coded = (stream.words, stream.end, raw, np.frombuffer(tables, np.uint8), stream.slots)
     model = (stream.place, tuning, distance_marks(UNITS / head.step_m))
-    placing = (head.step_m / UNITS, turns, azimuths, xyz)
+    placing = (head.step_m / UNITS, *spin, (origin.height_m, origin.radius_m), xyz)
     if symbols_to_points(*coded, *model, NEXT_KIND, *placing) < 0:
         raise CodecError("an image is damaged, or holds other than the points it claims")
     return xyz[:points]

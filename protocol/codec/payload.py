@@ -31,14 +31,14 @@ _LEVEL = 1  # zstd: higher levels gain under 2 % here and cost several times as 
 class Form(IntEnum):
     """How a payload is laid out: the first two hold scans, the others clouds.
 
-    A form whose sections change gets a new number; 2 and 4 to 6 are of older versions.
+    A form whose sections change gets a new number; 2 and 4 to 7 are of older versions.
     """
 
     PLANES = 0
     IMAGE = 1
     DELTAS = 3
-    RINGS = 7
     TREE = 8
+    RINGS = 9
 
 
 _IMAGES = (Form.PLANES, Form.IMAGE)

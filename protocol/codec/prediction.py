@@ -17,11 +17,19 @@ from protocol.scans import Floats, Floats32
 STRIDE = TAIL_ALPHABET
 UNITS = 256  # in one step
 GONE = 4  # the smallest kind of a lost beam
+MIN_FLAT = 1e-3  # of a direction: steeper beams begin as if they were so flat
+
+
+@njit("float64(float64, float64, float64)", cache=True, nogil=True, inline="always")
+def lead_m(radius_m: float, out: float, side: float) -> float:
+    """Returns how far along its direction a beam begins."""
+    metres: float = radius_m / max(np.sqrt(out * out + side * side), MIN_FLAT)
+    return metres
 
 
 @njit(
     "void(int32[::1], uint8[::1], int64, float64, Array(float64, 2, 'C', readonly=True), int64, "
-    "Array(float64, 2, 'C', readonly=True), float32[:,::1], int64, int64)",
+    "Array(float64, 2, 'C', readonly=True), UniTuple(float64, 2), float32[:,::1], int64, int64)",
     cache=True,
     nogil=True,
 )
@@ -33,6 +41,7 @@ def place_ring(
     turns: Floats,
     row: int,
     azimuths: Floats,
+    origin_m: tuple[float, float],
     xyz: Floats32,
     first: int,
     returns: int,
@@ -48,6 +57,7 @@ def place_ring(
         turns: (channels, 3), of each ring: how far out and how far round it points, and how far up.
         row: of the ring.
         azimuths: (columns, 2), cosine and sine.
+        origin_m: height and radius of `BeamOrigin`.
         xyz: filled from `first` on; has at least one row behind the ring's points.
         first: row of the ring's first point.
         returns: how many points.
@@ -59,15 +69,17 @@ def place_ring(
     wide = (columns + sectors - 1) // sectors
     next_x, next_y, next_z = xyz[taken, 0], xyz[taken, 1], xyz[taken, 2]
     out, side, up = turns[row, 0], turns[row, 1], np.float32(turns[row, 2])
+    lift, lead = np.float32(origin_m[0]), np.float32(lead_m(origin_m[1], out, side))
     point, column = u64(first), u64(0)
     for sector in range(sectors):
         at = u64(sectors + sector)
         for _ in range(min(wide, columns - sector * wide)):
             metres = np.float32(beams[at] * m_per_unit)
             a, b = azimuths[column, 0], azimuths[column, 1]
-            xyz[point, 0] = np.float32(out * a - side * b) * metres
-            xyz[point, 1] = np.float32(side * a + out * b) * metres
-            xyz[point, 2] = up * metres
+            far = metres + lead
+            xyz[point, 0] = np.float32(out * a - side * b) * far
+            xyz[point, 1] = np.float32(side * a + out * b) * far
+            xyz[point, 2] = up * metres + lift
             point += u64(kinds[at] < GONE)
             at += u64(sectors)
             column += u64(1)

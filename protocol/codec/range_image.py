@@ -164,7 +164,7 @@ def image_to_symbols(
     "int64(uint16[::1], int64, uint32[::1], Array(uint8, 1, 'C', readonly=True), uint8[::1], "
     "uint32[::1], int64[::1], int64[::1], uint8[::1], float64, "
     "Array(float64, 2, 'C', readonly=True), "
-    "Array(float64, 2, 'C', readonly=True), float32[:,::1])",
+    "Array(float64, 2, 'C', readonly=True), UniTuple(float64, 2), float32[:,::1])",
     cache=True,
     nogil=True,
 )
@@ -181,6 +181,7 @@ def symbols_to_points(
     m_per_unit: float,
     turns: Floats,
     azimuths: Floats,
+    origin_m: tuple[float, float],
     xyz: Floats32,
 ) -> int:
     """Reverses `image_to_symbols` and places the points; returns 0, -1 if the data is damaged.
@@ -198,6 +199,7 @@ def symbols_to_points(
         m_per_unit: the step by 256.
         turns: (channels, 3), of each ring: how far out and how far round it points, and how far up.
         azimuths: (columns, 2), cosine and sine.
+        origin_m: height and radius of `BeamOrigin`.
         xyz: (returns + 1, 3), filled with points ring by ring, but for the last row.
     """
     channels, columns = len(turns), len(azimuths)
@@ -276,7 +278,8 @@ def symbols_to_points(
             return -1
         given = steps, kind, below, slopes
         rise = ranges_of_ring(*given, limits, rise, calms, moves, here, beams)
-        place_ring(beams, kind, SECTORS, m_per_unit, turns, row, azimuths, xyz, first, returns)
+        placing = turns, row, azimuths, origin_m, xyz
+        place_ring(beams, kind, SECTORS, m_per_unit, *placing, first, returns)
     if at_word != u64(end_word) or at_raw != len(raw) or first != 0:
         return -1
     return 0 if states_are_final(states) else -1

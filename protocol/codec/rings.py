@@ -15,6 +15,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from protocol.codec.beam_origin import FRAME_ORIGIN, BeamOrigin, find_origin
+from protocol.codec.prediction import MIN_FLAT
 from protocol.codec.rans import I4, I8
 from protocol.errors import CodecError
 from protocol.limits import MAX_BEAMS, MAX_CELL_EDGE_M, MAX_POINTS
@@ -102,9 +104,10 @@ def measure_beams(
     """Fills the beam of each point (N, 3), how far along that and how far beside it the point lies.
 
     Args:
-        points: in the sensor frame.
+        points: in the sensor frame, their heights those over the origin of the beams.
         azimuth: of each point.
-        turns: of each ring, as `Rings.spin`, and in a column's width where it fires (rings, 4).
+        turns: of each ring, as `Rings.spin`, where in a column's width it fires, and how far along
+            its direction its beams begin (rings, 5).
         azimuths: of each column, as `Rings.spin`.
         ring: of each point.
         beam: filled with ring times columns plus column.
@@ -121,7 +124,9 @@ def measure_beams(
         # What the decoder multiplies is float32, and so is what the image holds.
         along_x, along_y = np.float32(out * a - side * b), np.float32(side * a + out * b)
         along_z = np.float32(turns[ring[n], 2])
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        lead = turns[ring[n], 4]
+        x, y = points[n, 0] - along_x * lead, points[n, 1] - along_y * lead
+        z = points[n, 2]
         metres = np.float64(np.float32(x * along_x + y * along_y + z * along_z))
         range_m[n] = metres
         x, y, z = x - along_x * metres, y - along_y * metres, z - along_z * metres
@@ -168,7 +173,7 @@ def assign_beams(
 Ints = npt.NDArray[np.int64]
 
 MAX_RINGS = 512
-_HEAD = struct.Struct("<Id")
+_HEAD = struct.Struct("<Idff")
 _MIN_POINTS = 256
 _MISFITS = 0.2  # more than this share: not the cloud of one spinning LiDAR
 _FULL_RINGS = 8  # those with the most points determine the columns
@@ -190,6 +195,7 @@ class Rings:
     elevations: Floats32
     azimuths: npt.NDArray[np.uint16]
     columns: int
+    origin: BeamOrigin = FRAME_ORIGIN
 
     @property
     def spin(self) -> tuple[Floats, Floats]:
@@ -204,7 +210,8 @@ class Rings:
     def to_bytes(self, misfits: int, edge_m: float) -> bytes:
         """Returns the section, with the number of points elsewhere and the edge of their cells."""
         angles = self.elevations.astype("<f4").tobytes() + self.azimuths.astype("<u2").tobytes()
-        return _HEAD.pack(misfits, edge_m) + angles
+        origin = self.origin
+        return _HEAD.pack(misfits, edge_m, origin.height_m, origin.radius_m) + angles
 
     @classmethod
     def from_bytes(cls, section: bytes, channels: int, columns: int) -> tuple[Self, int, float]:
@@ -215,7 +222,8 @@ class Rings:
         """
         if len(section) != _HEAD.size + 6 * channels:
             raise CodecError(f"{len(section)} bytes of rings for {channels} channels")
-        misfits, edge_m = _HEAD.unpack_from(section)
+        misfits, edge_m, *of_origin = _HEAD.unpack_from(section)
+        origin = BeamOrigin(*of_origin)
         elevations = np.frombuffer(section, "<f4", channels, _HEAD.size)
         azimuths = np.frombuffer(section, "<u2", channels, _HEAD.size + 4 * channels)
         if not (
@@ -224,7 +232,9 @@ class Rings:
             raise CodecError(
                 f"rings that are not finite, or {misfits} points in cells of {edge_m} m"
             )
-        return cls(elevations, azimuths, columns), misfits, edge_m
+        if not origin.is_allowed:
+            raise CodecError(f"beams that begin {origin.height_m} m up, {origin.radius_m} m out")
+        return cls(elevations, azimuths, columns, origin), misfits, edge_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,25 +284,27 @@ def find_rings(points: Floats, room_m: float) -> RingImage | None:
     """Returns the cloud (N, 3) as an image, or None if it is not that of one spinning LiDAR.
 
     Args:
-        points: in the sensor frame, the sensor at the origin.
+        points: in the sensor frame.
         room_m: how far a point may come to lie from where it was.
     """
     if len(points) < _MIN_POINTS:
         return None
     points = np.ascontiguousarray(points)
+    origin = find_origin(points)
+    seen = points if origin == FRAME_ORIGIN else origin.seen_from(points)
     elevation, azimuth = np.empty(len(points)), np.empty(len(points))
     bins = np.empty(len(points), np.int64)
-    measure_angles(points, elevation, azimuth, bins)
+    measure_angles(seen, elevation, azimuth, bins)
     rough = _peaks(bins)
     if not 1 <= len(rough) <= MAX_RINGS:
         return None
     ring = _nearest(rough)[bins]
-    middles = _middles(rough, points, ring, elevation)
+    middles = _middles(rough, seen, ring, elevation)
     columns = _columns(ring, azimuth)
     if columns < 8 or columns * len(middles) > MAX_BEAMS:
         return None
     phases = _phases(ring, azimuth, columns, len(middles))
-    rings = Rings(middles.astype(np.float32), phases, columns)
+    rings = Rings(middles.astype(np.float32), phases, columns, origin)
     return _image(points, azimuth, rings, ring, room_m)
 
 
@@ -355,8 +367,11 @@ def _image(
 ) -> RingImage | None:
     range_m, beside_m = np.empty(len(points)), np.empty(len(points))
     beam, (turns, azimuths) = np.empty(len(points), np.int64), rings.spin
-    turns = np.column_stack([turns, rings.azimuths / _AZIMUTHS])
-    measure_beams(points, azimuth, turns, azimuths, ring, beam, range_m, beside_m)
+    flat = np.sqrt(turns[:, 0] ** 2 + turns[:, 1] ** 2)
+    leads_m = (rings.origin.radius_m / np.maximum(flat, MIN_FLAT)).astype(np.float32)
+    turns = np.column_stack([turns, rings.azimuths / _AZIMUTHS, leads_m])
+    lifted = points - [0.0, 0.0, rings.origin.height_m]
+    measure_beams(lifted, azimuth, turns, azimuths, ring, beam, range_m, beside_m)
     sample = beside_m[:: max(1, len(points) // _SAMPLE)]
     usual_m = 1.1 * float(np.quantile(sample, _USUAL))
     reach_m = min(_BEAM_SHARE[1] * room_m, max(_BEAM_SHARE[0] * room_m, usual_m))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from protocol.codec import decode, encode_cloud
+from protocol.codec.beam_origin import BeamOrigin, find_origin
 from protocol.codec.forms import room_m
 from protocol.codec.lattice import lattice_edge_m
 from protocol.codec.octree import pack_tree
@@ -100,6 +101,48 @@ def test_a_ring_image_of_a_pattern_holds_every_return():
     image = find_rings(points, 0.01)
     assert image is not None
     assert (image.range_m > 0).sum() == len(points)
+
+
+def off_origin(points: np.ndarray, origin: BeamOrigin) -> np.ndarray:
+    """Returns points whose beams begin elsewhere."""
+    away_m = np.hypot(points[:, 0], points[:, 1])[:, None]
+    out = points * [1.0, 1.0, 0.0] / away_m
+    return (points + origin.radius_m * out + [0.0, 0.0, origin.height_m]).astype(np.float32)
+
+
+@pytest.mark.parametrize("bound_m", [0.005, 0.02, 0.1])
+@pytest.mark.parametrize("height_m", [-0.06, 0.036, 0.075])
+@pytest.mark.parametrize("radius_m", [0.0, 0.028])
+def test_where_beams_begin_is_found_and_costs_no_bytes(bound_m, height_m, radius_m):
+    points, origin = ringed().astype(np.float64), BeamOrigin(height_m, radius_m)
+    moved = off_origin(points, origin)
+    found = find_origin(moved.astype(np.float64))
+    assert abs(found.height_m - height_m) < 0.006
+    shade = np.zeros(len(points), np.float32)
+    payload = encode_cloud(PointCloud(moved, shade), bound_m)
+    assert payload[4] == Form.RINGS
+    usual = encode_cloud(PointCloud(points.astype(np.float32), shade), bound_m)
+    assert len(payload) < 1.1 * len(usual)
+    for start in range(0, len(moved), 250 * 8):
+        names = np.arange(start, min(start + 250, len(moved)))
+        back = named(moved, bound_m, names)
+        assert np.linalg.norm(back.astype(float) - moved[names], axis=1).max() <= bound_m
+
+
+def test_clouds_seen_from_the_frames_origin_or_from_nowhere_stay_as_they_are():
+    assert find_origin(ringed().astype(np.float64)) == BeamOrigin()
+    loose = np.random.default_rng(1).normal(0, 20, (3000, 3))
+    assert find_origin(loose) == BeamOrigin()
+    assert find_origin(np.zeros((300, 3))) == BeamOrigin()
+    above = np.repeat([[0.0, 0.0, 1.0]], 300, axis=0)
+    assert np.isfinite(BeamOrigin(0.1, 0.1).seen_from(above)).all()
+
+
+@pytest.mark.parametrize("origin", [(np.nan, 0), (np.inf, 0), (2, 0), (0, -0.1), (0, np.nan)])
+def test_beams_that_begin_far_away_are_refused(origin):
+    rings = Rings(np.zeros(2, np.float32), np.zeros(2, np.uint16), 8, BeamOrigin(*origin))
+    with pytest.raises(CodecError, match="beams that begin"):
+        Rings.from_bytes(rings.to_bytes(0, 0.1), 2, 8)
 
 
 def test_points_beside_their_beams_stay_within_the_bound():
