@@ -80,7 +80,7 @@ def _sample(points: Floats, size: int) -> tuple[Floats, Floats]:
 
 
 def _bins(width: float) -> int:
-    return math.ceil(2 * _SLOPE / width) + 1
+    return math.ceil(2 * _SLOPE / width) + 2
 
 
 @njit(
@@ -97,18 +97,22 @@ def _shared(
         away_m: distances of points from the axis.
         z: their heights.
         width: of the bins.
-        counts: for use, an element for each bin.
+        counts: zeros for each bin, and one for steeper points; zeros again afterwards.
         heights_m: that are tried.
         radii_m: that are tried.
     """
     result = np.zeros((len(heights_m), len(radii_m)), np.int64)
+    at, last, per_slope = np.empty(len(away_m), np.int64), counts.size - 1, 1.0 / width
     for one in range(len(heights_m)):
         for other in range(len(radii_m)):
-            counts[:] = 0
             for n in range(len(away_m)):
                 slope = (z[n] - heights_m[one]) / max(away_m[n] - radii_m[other], _LEAST_AWAY_M)
-                if abs(slope) < _SLOPE:
-                    at = int((slope + _SLOPE) / width)
-                    result[one, other] += counts[at]
-                    counts[at] += 1
+                at[n] = int((slope + _SLOPE) * per_slope) if abs(slope) < _SLOPE else last
+            pairs = 0
+            for n in range(len(away_m)):
+                pairs += counts[at[n]] * (at[n] < last)
+                counts[at[n]] += 1
+            result[one, other] = pairs
+            for n in range(len(away_m)):
+                counts[at[n]] = 0
     return result
