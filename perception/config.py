@@ -125,9 +125,8 @@ class DetectionConfig(Section):
         False,
         description="ours: boxes that a sensor looks through, or over whose roof a column goes on, "
         "are no vehicles, as for PointPillars always; nor are those of which less than five points "
-        "or a 13th of a sensor's rays towards them are seen, that rays go deep into, or that are "
-        "as long at the roof as at the sills, but lower than a van. Without a road map, hedges "
-        "and walls stand on the road: it is true",
+        "or a 13th of a sensor's rays towards them are seen, or that rays go deep into. Without a "
+        "road map, where hedges and walls stand on the road, it is true",
     )
     boxes: BoxConfig = Field(
         BoxConfig(), description="size filter of `reference`, completion of `fast`"

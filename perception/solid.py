@@ -6,8 +6,7 @@ counted, box by box, that speak against it: those that a sensor saw right throug
 deep in it that a sensor saw through its near side, as the back of a bus shelter or of a room, those
 that stand in a column over it, as a wall does (a tree's crown over a car leaves air between), and
 the metres that its upper part goes on beyond its ends, as a hedge does. Cars that stand bumper to
-bumper have metres of air between their cabins. And a car lower than a van has a bonnet: a block
-that is as long at the roof as at the sills is a piece of a hedge or a wall.
+bumper have metres of air between their cabins.
 """
 
 from __future__ import annotations
@@ -34,12 +33,8 @@ LEAST = 5  # fewer points show nothing
 DEEP_M = 1.3  # behind the side of a box that a ray meets: no body of a vehicle is seen there
 MOST_DEEP = 0.5  # of a box's points between LOW_M and its windows
 # Of cars found on generated streets with hedges, shelters and houses, without a geofence, this
-# loses 0.4 %, and the length at the roof 0.3 %; of what is taken for cars there 9 and 7 %.
-_COUNTS = 9
-BLOCK_M = 1.75  # a car's height from where on it may be as long above as below: a van
-SILLS, ROOF = 0.6, 0.8  # of the height: below and above them the lengths are compared
-BLOCK_SHARE, BLOCK_RATIO = 0.8, 0.9  # of a box's length, and of the length at the sills
-LEAST_BLOCK = 10  # points above as well as below: fewer do not show a length
+# loses 0.4 %; of what is taken for cars there 9 %.
+_COUNTS = 7
 # Points against a box as a share of its own: seen through, in the air over it, higher. Lorries
 # are long and closed, and walls taken for them hardly reach over the band of heights that is kept.
 # Of 790 lorries on generated streets with trees, none is lost by this, of 6668 cars 0.7 %.
@@ -65,7 +60,7 @@ def solid_of(
     """Returns those vehicles of a cloud, map frame, whose boxes may be vehicles.
 
     Boxes are taken to stand on the ground. Where roads are `unmapped`, so that hedges and houses
-    stand on what is taken for them, those hardly seen, open ones and blocks are left out too.
+    stand on what is taken for them, those hardly seen and open ones are left out too.
     """
     parts = [*cloud.near, *cloud.bare]
     points, road_m = merge(parts)
@@ -78,7 +73,6 @@ def solid_of(
     kept = are_solid(found.classes, observed)
     if unmapped:
         kept &= are_seen(observed) & ~are_open(found.classes, observed)
-        kept &= ~are_blocks(boxes, found.classes, observed)
     return found.take(kept)
 
 
@@ -91,14 +85,12 @@ class Observations:
         beyond_m: how far what is boxed goes on beyond its rear and its front (N, 2).
         seen: the share of the rays towards it that ended in it, of the sensor that sees most (N,).
         deep: points in it below its windows, and those of them deep behind its near side (N, 2).
-        long_m: how long it is at the sills and at the roof, 0 where too few points tell (N, 2).
     """
 
     counts: Ints
     beyond_m: Floats
     seen: Floats
     deep: Ints
-    long_m: Floats
 
 
 def are_seen(observed: Observations) -> Bools:
@@ -112,15 +104,6 @@ def are_open(classes: Bytes, observed: Observations) -> Bools:
     below, deep = observed.deep.T
     is_deep = (deep >= LEAST) & (deep >= MOST_DEEP * below)
     return np.asarray(is_deep & (classes <= ObjectClass.TRUCK))
-
-
-def are_blocks(boxes: Floats, classes: Bytes, observed: Observations) -> Bools:
-    """Marks the boxes (N, 7) of cars lower than a van (N,) that have no bonnet."""
-    sills_m, roof_m = observed.long_m.T
-    is_long = (roof_m >= BLOCK_SHARE * boxes[:, 3]) & (roof_m >= BLOCK_RATIO * sills_m)
-    return np.asarray(
-        (classes == ObjectClass.CAR) & (boxes[:, 5] < BLOCK_M) & (sills_m > 0) & is_long
-    )
 
 
 def are_solid(classes: Bytes, observed: Observations) -> Bools:
@@ -147,7 +130,6 @@ def observations_of(
         sensors: the place that each part was seen from, z over the road (K, 3).
     """
     counts, seen = np.zeros((len(boxes), _COUNTS), np.int64), np.zeros(len(boxes))
-    ends_m = np.tile([np.inf, -np.inf], (len(boxes), 2))  # at the sills and at the roof
     steps = int((boxes[:, 3].max(initial=0.0) + 2 * BEYOND_M) / STEP_M) + 1
     is_upper = np.zeros((len(boxes), steps), np.bool_)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -157,17 +139,12 @@ def observations_of(
             eye = np.array([sensor[0], sensor[1], max(sensor[2], EYE_M)])
             seen_by = np.zeros_like(counts)
             given = np.ascontiguousarray(boxes), points[own], height_m[own], eye
-            _count(*given, seen_by, is_upper, ends_m)
+            _count(*given, seen_by, is_upper)
             rays = seen_by[:, 0] + seen_by[:, 4]
             seen = np.maximum(seen, seen_by[:, 0] / np.maximum(rays, 1))
             counts += seen_by
     beyond_m = _beyond_m(is_upper, np.ascontiguousarray(boxes[:, 3]))
-    long_m = np.where(
-        (counts[:, 7:] >= LEAST_BLOCK).all(axis=1, keepdims=True),
-        ends_m[:, 1::2] - ends_m[:, ::2],
-        0.0,
-    )
-    return Observations(counts[:, :4], beyond_m, seen, counts[:, 5:7], long_m)
+    return Observations(counts[:, :4], beyond_m, seen, counts[:, 5:])
 
 
 @njit("float64[:,::1](boolean[:,::1], float64[::1])", cache=True, nogil=True)
@@ -297,7 +274,7 @@ def _is_deep(
 
 @njit(
     "void(float64[:,::1], float32[:,::1], float32[::1], float64[::1], int64[:,::1], "
-    "boolean[:,::1], float64[:,::1])",
+    "boolean[:,::1])",
     cache=True,
     nogil=True,
 )
@@ -308,11 +285,10 @@ def _count(
     eye: Floats,
     result: Ints,
     is_upper: Bools,
-    ends_m: Floats,
 ) -> None:
     """Counts what one sensor saw: points, rays to each box that ended elsewhere, points for `deep`.
 
-    Marks the steps along each box where its upper part was hit, and widens `ends_m` (N, 4).
+    Marks the steps along each box where its upper part was hit.
     """
     order, starts = _by_direction(points, eye)
     for box in range(boxes.shape[0]):
@@ -350,11 +326,6 @@ def _count(
                     if LOW_M < high_m < WINDOWS * top_m:
                         result[box, 5] += 1
                         result[box, 6] += _is_deep(seen_from, at_m, sides)
-                    if LOW_M < high_m <= SILLS * top_m or ROOF * top_m < high_m <= top_m + OWN_M:
-                        part = 1 if high_m > ROOF * top_m else 0
-                        result[box, 7 + part] += 1
-                        ends_m[box, 2 * part] = min(ends_m[box, 2 * part], u)
-                        ends_m[box, 2 * part + 1] = max(ends_m[box, 2 * part + 1], u)
                     continue
                 core = (CORE / 2 * length, CORE / 2 * width, WINDOWS * top_m)
                 result[box, 1] += _is_through(seen_from, at_m, core)

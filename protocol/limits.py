@@ -48,6 +48,7 @@ MAX_TREE_DEPTH = 20  # three bits a level fit into a key of 64
 MAX_TREE_ORIGIN_M = 1e9  # float32 coordinates stay finite
 MAX_TABLES = 255  # of a stream of symbols: a byte numbers them, and each takes 4 KiB
 MAX_CELL_EDGE_M = 100.0  # of the octree beside a ring image
+MAX_BEAM_HEIGHT_M, MAX_BEAM_RADIUS_M = 1.0, 0.5  # where a ring image's beams begin
 FREE_TREE_SYMBOLS = 1 << 20  # a symbol that is certain takes next to no bits, so that a few
 TREE_SYMBOLS_PER_WORD = 128  # bytes could hold millions of them
 

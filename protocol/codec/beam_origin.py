@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 
 from protocol.codec.rans import I8
+from protocol.limits import MAX_BEAM_HEIGHT_M, MAX_BEAM_RADIUS_M
 from protocol.scans import Floats
 
-MAX_HEIGHT_M, MAX_RADIUS_M = 1.0, 0.5  # that a payload may claim
 _HEIGHTS_M = np.arange(-24, 25) * 0.005
 _RADII_M = np.array([0.0, 0.02])
 _NEAR_HEIGHTS_M, _NEAR_RADII_M = np.arange(-6, 7) * 0.001, np.arange(-4, 5) * 0.005
@@ -40,7 +40,7 @@ class BeamOrigin:
     @property
     def is_allowed(self) -> bool:
         """Whether it may stand in a payload."""
-        return abs(self.height_m) <= MAX_HEIGHT_M and 0 <= self.radius_m <= MAX_RADIUS_M
+        return abs(self.height_m) <= MAX_BEAM_HEIGHT_M and 0 <= self.radius_m <= MAX_BEAM_RADIUS_M
 
     def seen_from(self, points: Floats) -> Floats:
         """Returns points (N, 3) of the sensor frame as seen from where their beams begin."""

@@ -8,7 +8,7 @@ from perception.config import DetectionConfig
 from perception.detector import Cloud
 from perception.fast import FastDetector
 from perception.roadway import Placed, Roadway
-from perception.solid import are_blocks, are_open, are_seen, are_solid, observations_of
+from perception.solid import are_open, are_seen, are_solid, observations_of
 from protocol.messages import ObjectClass
 from recording.foreign_scans.ground import Ground
 from recording.foreign_scans.importer import open_ground
@@ -86,23 +86,6 @@ def test_a_back_that_is_seen_through_the_near_side_is_a_bus_shelter_and_not_a_va
         (CARS, back[:4], False),
     ):
         assert are_open(classes, observed(box, points)).tolist() == [is_open]
-
-
-def test_a_block_as_long_at_the_roof_as_at_the_sills_is_a_car_only_if_it_is_a_van():
-    hedge = upright(np.linspace(-2.1, 2.1, 80), 5.2, 1.6)
-    body = upright(np.linspace(-2.2, 2.2, 60), 5.2, 0.8)
-    cabin = upright(np.linspace(-1.3, 1.6, 30), 5.2, 1.6, low_m=0.8)
-    for height_m, points, is_block in (
-        (1.5, hedge, True),
-        (1.5, np.concatenate([body, cabin]), False),
-        (1.5, body, False),
-        (1.5, hedge[:9], False),
-        (1.9, hedge, False),
-    ):
-        box = np.array([[0.0, 6.0, height_m / 2, 4.4, 1.8, height_m, 0.0]])
-        seen = observed(box, points)
-        assert are_blocks(box, CARS, seen).tolist() == [is_block], (height_m, len(points))
-        assert not are_blocks(box, TRUCKS, seen).any()
 
 
 def test_a_lorry_may_be_longer_than_its_box_beyond_one_end_alone():
