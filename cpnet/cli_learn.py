@@ -86,12 +86,21 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
     start: Annotated[
         Path | None, typer.Option(help="weights to begin with, trained on other data")
     ] = None,
+    real: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="real scans mixed in: velodyne/, label_2/ as KITTI's"),
+    ] = None,
+    real_share: Annotated[float, typer.Option(help="of all windows")] = 0.25,
+    real_range: Annotated[
+        float, typer.Option(metavar="M", help="to which all vehicles are labelled")
+    ] = 50.0,
 ) -> None:
     """Train PointPillars on labelled scans, on a GPU if there is one."""
     from cpnet.evaluation import detectors_of, figures_of
 
     try:
         from learning.dataset import Dataset
+        from learning.real_frames import RealFrames
         from learning.training import Recipe, Training, train
         from perception.pillars.weights import describe
     except ImportError as error:
@@ -99,7 +108,8 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
             f"training needs PyTorch (extra `learn`): {error}; {to_install('learn')}"
         ) from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, rate=rate, seed=seed)
-    path = train(Training(dataset, out, network, recipe, start), errors)
+    mixed = None if real is None else RealFrames(real, real_range, real_share)
+    path = train(Training(dataset, out, network, recipe, start, mixed), errors)
     if Dataset(dataset).samples("val"):
         errors.print("measuring it on the networks kept for validation")
         (name,) = detectors_of(network)

@@ -142,7 +142,7 @@ WIDE_M = 60.0  # how far beyond the lanes the road's height is known
 FENCE_M = 0.5
 OFF_M = 25.0  # a window's middle from the point it was chosen for
 LIFT_STD_M = 0.1  # the height of an open ground is not known better
-_BELOW_M, _ABOVE_M = 2.0, 5.0
+BELOW_M, ABOVE_M = 2.0, 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -179,7 +179,7 @@ class RoadRasters:
     def placed(self, sample: SceneSample) -> PlacedSample:
         """Places a sample's scans on the road."""
         placed = [
-            self._wide.place(scan.points, scan.map_SE3_sensor, below_m=_BELOW_M, above_m=_ABOVE_M)
+            self._wide.place(scan.points, scan.map_SE3_sensor, below_m=BELOW_M, above_m=ABOVE_M)
             for scan in sample.scans
         ]
         boxes = sample.boxes.copy()

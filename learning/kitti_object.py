@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from perception.arrays import Bools, Floats
+from perception.arrays import Bools, Floats, Floats32
 from protocol.config import is_folder
 from protocol.errors import ConfigError
 from sensing.point_files import point_files
@@ -186,3 +186,12 @@ def _numbers(words: Sequence[str], where: str) -> Floats:
     if not np.isfinite(numbers).all():
         raise ConfigError(f"{where}: a number is not finite")
     return numbers
+
+
+def points_in(points: Floats32, box: Floats) -> int:
+    """Counts the points (N, 3) in a box (7,) of the same frame."""
+    off = points - box[:3]
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    along, across = cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]
+    local = np.stack([along, across, off[:, 2]], -1)
+    return int((np.abs(local) <= box[3:6] / 2).all(axis=1).sum())

@@ -9,7 +9,7 @@ import json
 import os
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import lru_cache
@@ -27,6 +27,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, smooth_l1_loss
 
 from learning.dataset import Dataset, Split
 from learning.examples import Example, PlacedSample, RoadRasters, Targets, example_of
+from learning.real_frames import RealFrames
 from perception.pillars.config import NETWORKS, PillarsConfig
 from perception.pillars.detector import computes_in_half
 from perception.pillars.network import BOX_TERMS, Batch, PointPillars, lay_channels_last
@@ -74,6 +75,24 @@ class PlacedSamples:
                 self._kept[index] = sample
                 self._kept_bytes += size_bytes
         return sample
+
+
+class MixedSamples:
+    """Generated samples and real ones, so repeated that these are their share of all."""
+
+    def __init__(
+        self, generated: PlacedSamples, real: Sequence[PlacedSample], share: float
+    ) -> None:
+        self._generated, self._real = generated, real
+        self._repeated = round(share / (1 - share) * len(generated))
+
+    def __len__(self) -> int:
+        return len(self._generated) + self._repeated
+
+    def __getitem__(self, index: int) -> PlacedSample:
+        """Returns a sample; generated ones come first."""
+        beyond = index - len(self._generated)
+        return self._generated[index] if beyond < 0 else self._real[beyond % len(self._real)]
 
 
 ALPHA, GAMMA = 0.25, 2.0
@@ -294,7 +313,8 @@ SAVE_EVERY_S = 60.0
 class Training:
     """A training: dataset, network, recipe, and the folder for weights and state.
 
-    `start` are weights to begin with, of the same network and anchors; random ones without.
+    `start` are weights to begin with, of the same network and anchors; random ones without. `real`
+    are frames mixed in.
     """
 
     dataset: Path
@@ -302,6 +322,7 @@ class Training:
     network: str
     recipe: Recipe
     start: Path | None = None
+    real: RealFrames | None = None
 
     def check(self) -> None:
         """Raises ConfigError if it cannot be done."""
@@ -316,6 +337,8 @@ class Training:
             raise ConfigError(f"--rate {self.recipe.rate}: must be more than 0, at most 1")
         if is_file(self.out):
             raise ConfigError(f"--out {self.out}: is a file, needs a folder")
+        if self.real is not None:
+            self.real.check()
 
 
 def train(training: Training, console: Console) -> Path:
@@ -339,11 +362,15 @@ def train(training: Training, console: Console) -> Path:
         console.print(f"going on after step {trainer.step}")
     elif training.start is not None and start is not None:
         trainer.begin_with(start[0], training.start)
-    _run(trainer, samples, training.out, console)
+    _run(trainer, _mixed(samples, training.real), training.out, console)
     path = training.out / f"{training.network}.safetensors"
     about = about_of(training, len(samples), None if start is None else start[1])
     save(trainer.network, path, about)
     return path
+
+
+def _mixed(samples: PlacedSamples, real: RealFrames | None) -> SampleSource:
+    return samples if real is None else MixedSamples(samples, real.samples(), real.share)
 
 
 def about_of(
@@ -356,10 +383,12 @@ def about_of(
         "dataset": Dataset(training.dataset).info.model_dump(),
         "samples": samples,
     }
+    if training.real is not None:
+        about["real"] = training.real.as_dict()
     return about if start is None else {**about, "start": start}
 
 
-def _run(trainer: Trainer, samples: PlacedSamples, out: Path, console: Console) -> None:
+def _run(trainer: Trainer, samples: SampleSource, out: Path, console: Console) -> None:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -18,7 +18,7 @@ import numpy as np
 
 from edge_server.config import EdgeConfig
 from learning.dataset import SceneSample, SensorScan
-from learning.kitti_object import DONT_CARE, KittiFrame, KittiObject
+from learning.kitti_object import DONT_CARE, KittiFrame, KittiObject, points_in
 from perception.arrays import Bools, Floats, Floats32, Ints
 from perception.boxes import overlaps
 from perception.config import DetectorName
@@ -26,7 +26,7 @@ from perception.detector import Cloud, Vehicles
 from perception.map_height import on_the_ground
 from protocol.geometry import SE3
 from protocol.messages import ObjectClass
-from recording.foreign_scans.importer import ground_of, height_over_ground_m, open_ground
+from recording.foreign_scans.importer import ground_around
 from sensing.point_files import read_points
 from studies.average_precision import Outcomes, Scene, average_precision, outcomes
 from studies.ecvpr import VISIBLE_POINTS
@@ -100,11 +100,7 @@ def judge(
     """
     config = config.model_copy(update={"solid_only": True})  # as a replay without a road map
     cloud = read_points(frame.cloud)
-    height_m = height_over_ground_m(cloud, SE3.identity())
-    footprint = np.array([[0.0, 0.0, -height_m, 0.0, 0.0, 0.0]])
-    ways, scans = {frame.name: footprint}, [(cloud.points.astype(np.float64), SE3.identity())]
-    ground = ground_of(scans, ways, width_m=2 * range_m)
-    site = Site(open_ground(ways, ground, width_m=2 * range_m), config)
+    site = Site(ground_around(cloud, frame.name, range_m), config)
     return {name: _judge(site, frame, cloud.points, name, seed) for name in detectors}
 
 
@@ -121,7 +117,7 @@ def _judge(
     took_ms = 1e3 * (time.perf_counter() - start)
     is_own = np.asarray((np.abs(found.boxes[:, :2]) < _OWN_M).all(axis=1))
     objects = [one for one in frame.objects if np.isfinite(one.box).all()]
-    counts = np.array([_points_in(points, one.box) for one in objects], np.int64)
+    counts = np.array([points_in(points, one.box) for one in objects], np.int64)
     least_score = site.least_score(name)
     return JudgedFrame(frame, found.take(~is_own), objects, counts, took_ms, least_score)
 
@@ -157,14 +153,6 @@ def hits_of(one: JudgedFrame, range_m: float) -> Hits:
     ignored = match.any(axis=1) & ~right
     found = int(match[:, due].any(axis=0).sum())
     return Hits(int(due.sum()), found, int((~ignored).sum()), int(right.sum()))
-
-
-def _points_in(points: Floats32, box: Floats) -> int:
-    off = points - box[:3]
-    cos, sin = np.cos(box[6]), np.sin(box[6])
-    along, across = cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]
-    local = np.stack([along, across, off[:, 2]], -1)
-    return int((np.abs(local) <= box[3:6] / 2).all(axis=1).sum())
 
 
 def _rows(detector: str, scenes: Sequence[JudgedFrame], range_m: float) -> Iterator[EvalRow]:

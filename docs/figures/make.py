@@ -149,7 +149,7 @@ def compare_rows(names: list[str]) -> None:
 
 
 def measure(figure: Figure) -> None:
-    """Runs a figure's command and keeps what it says.
+    """Runs a figure's command and keeps what it says, not laid out yet.
 
     Raises:
         subprocess.CalledProcessError: the command failed.
@@ -176,9 +176,9 @@ def measure(figure: Figure) -> None:
         "minutes": round(minutes, 1),
         "sources": sources,
         "data": data,
-        "parts": {},
+        "parts": (load(figure) or {}).get("parts", {}),
     }
-    save(figure, record)
+    _write(figure, record)
 
 
 def refresh(figure: Figure, record: Record) -> Record:
@@ -192,7 +192,11 @@ def refresh(figure: Figure, record: Record) -> Record:
 
 def save(figure: Figure, record: Record) -> None:
     """Writes what was measured, with its parts as pages show them."""
-    lines = (f'"{key}": {_dumped(value)}' for key, value in refresh(figure, record).items())
+    _write(figure, refresh(figure, record))
+
+
+def _write(figure: Figure, record: Record) -> None:
+    lines = (f'"{key}": {_dumped(value)}' for key, value in record.items())
     text = "{\n" + ",\n".join(lines) + "\n}\n"
     (FOLDER / f"{figure.name}.json").write_text(text, "utf-8")
 

@@ -40,7 +40,7 @@ MIN_BOUND_M, MAX_BOUND_M = 1e-4, 10.0
 _ROUNDING = 2.0**-22  # of a distance: what float32 may do to a point on both sides
 
 
-_SAMPLE_ERROR = 0.1  # of a sample's ratio; of 20 clouds at 1 to 10 cm none was farther off
+_SAMPLE_ERROR = 0.06  # of a ratio below 1 that a sample tells, at bounds to 10 cm
 _TABLES = 250  # bytes by which a sample's tables may mislead
 
 

@@ -104,6 +104,15 @@ def open_ground(ways: Mapping[str, Floats], ground: Ground, *, width_m: float) -
     )
 
 
+def ground_around(cloud: PointCloud, name: str, range_m: float) -> RoadMap:
+    """Returns the open ground around a single scan, in whose frame z is up, as far as the range."""
+    height_m = height_over_ground_m(cloud, SE3.identity())
+    ways = {name: np.array([[0.0, 0.0, -height_m, 0.0, 0.0, 0.0]])}
+    scans = [(cloud.points.astype(np.float64), SE3.identity())]
+    ground = ground_of(scans, ways, width_m=2 * range_m)
+    return open_ground(ways, ground, width_m=2 * range_m)
+
+
 def _line(poses: Floats) -> Floats:
     """Returns the middle (K, 2) of a path, and of its extension before and behind."""
     middle = [poses[0, :2]]

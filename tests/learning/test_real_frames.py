@@ -1,0 +1,88 @@
+"""Real scans with labels in KITTI's layout become training samples on the ground around them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `learn`")
+
+from learning.examples import SURE_POINTS, example_of  # noqa: E402 - after the check for torch
+from learning.kitti import line_of  # noqa: E402
+from learning.real_frames import RealFrames  # noqa: E402
+from learning.training import MixedSamples  # noqa: E402
+from perception.pillars.config import PillarsConfig  # noqa: E402
+from protocol.errors import ConfigError  # noqa: E402
+from protocol.messages import ObjectClass  # noqa: E402
+
+SENSOR_M = 1.8  # over the ground
+CAR = np.array([10.0, 5.0, 0.75 - SENSOR_M, 4.4, 1.8, 1.5, 0.3])
+UNSURE = np.array([-10.0, 5.0, 0.75 - SENSOR_M, 4.4, 1.8, 1.5, 0.0])
+RANGE_M = 30.0
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """One frame, level ground with a car and something that may be one; points beyond the range."""
+    rng = np.random.default_rng(1)
+    ground = np.column_stack([rng.uniform(-45, 45, (40_000, 2)), np.full(40_000, -SENSOR_M)])
+    things = [box[:3] + rng.uniform(-0.7, 0.7, (200, 3)) for box in (CAR, UNSURE)]
+    for part in ("velodyne", "label_2"):
+        (tmp_path / part).mkdir()
+    points = np.concatenate([ground, *things]).astype(np.float32)
+    np.save(tmp_path / "velodyne" / "one.npy", points)
+    lines = [line_of(box, ObjectClass.CAR) for box in (CAR, UNSURE)]
+    lines[1] = lines[1].replace("Car", "DontCare", 1)
+    (tmp_path / "label_2" / "one.txt").write_text("\n".join(lines) + "\n")
+    return tmp_path
+
+
+def test_objects_stand_on_the_ground_and_nothing_beyond_the_range_is_left(folder: Path) -> None:
+    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples()
+    (points,), (height_m,) = sample.points, sample.height_m
+    assert np.hypot(*points[:, :2].T).max() <= RANGE_M
+    is_ground = points[:, 2] == np.float32(-SENSOR_M)
+    assert np.abs(height_m[is_ground]).max() < 0.05
+    np.testing.assert_allclose(sample.boxes[:, 2], 0.75)
+    np.testing.assert_allclose(sample.boxes[:, [0, 1, 3, 4, 5, 6]], [
+        CAR[[0, 1, 3, 4, 5, 6]], UNSURE[[0, 1, 3, 4, 5, 6]]
+    ], atol=1e-3)  # fmt: skip
+    assert (sample.points_on >= SURE_POINTS).tolist() == [[True, False]]
+
+
+def test_what_may_be_a_vehicle_is_not_judged(folder: Path) -> None:
+    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples()
+    rng = np.random.default_rng(2)
+    examples = [example_of(sample, 320, PillarsConfig(), rng) for _ in range(8)]
+    for example in examples:
+        judged = example.targets.counts
+        assert 0 < example.targets.is_vehicle.sum() < 100
+        assert (~judged).any(), "anchors on the box DontCare"
+        assert len(example.targets.place) == example.targets.is_vehicle.sum()
+
+
+@pytest.mark.parametrize(("share", "real"), [(0.5, 100), (0.25, 33), (0.75, 300)])
+def test_real_samples_are_repeated_to_their_share(share: float, real: int) -> None:
+    mixed = MixedSamples(range(100), ["a", "b", "c"], share)  # type: ignore[arg-type]
+    drawn = [mixed[index] for index in range(len(mixed))]
+    assert drawn[:100] == list(range(100))
+    assert drawn[100:] == (["a", "b", "c"] * 100)[:real]
+
+
+@pytest.mark.parametrize(
+    ("range_m", "share", "named"), [(30, 1.0, "--real-share"), (30, 0, "--real-share"), (0, 0.2, "--real-range")]
+)  # fmt: skip
+def test_a_number_out_of_bounds_is_named(
+    folder: Path, range_m: float, share: float, named: str
+) -> None:
+    with pytest.raises(ConfigError, match=named):
+        RealFrames(folder, range_m, share).check()
+
+
+def test_a_folder_without_clouds_is_refused(tmp_path: Path) -> None:
+    for part in ("velodyne", "label_2"):
+        (tmp_path / part).mkdir()
+    with pytest.raises(ConfigError, match=str(tmp_path)):
+        RealFrames(tmp_path, RANGE_M, 0.3).samples()
