@@ -40,7 +40,8 @@ MIN_BOUND_M, MAX_BOUND_M = 1e-4, 10.0
 _ROUNDING = 2.0**-22  # of a distance: what float32 may do to a point on both sides
 
 
-_SAMPLE_ERROR = 0.06  # of a ratio below 1 that a sample tells, at bounds to 10 cm
+# Of a ratio below 1 that a sample tells; where the bound is not fine, it tells too little.
+_SAMPLE_ERROR, _COARSE_ERROR = 0.06, 0.3
 _TABLES = 250  # bytes by which a sample's tables may mislead
 
 
@@ -188,7 +189,8 @@ def _sampled_ratio(image: RingImage, points: Floats, room: float) -> tuple[float
     tree = sum(map(len, _pack_tree(points[order], room)[1]))
     share = len(order) / len(points)
     ratio = (share * len(angles) + sum(map(len, rings))) / tree
-    return ratio, max(_SAMPLE_ERROR, _TABLES / tree)
+    error = _SAMPLE_ERROR if image.is_fine(room) else _COARSE_ERROR
+    return ratio, max(error, _TABLES / tree)
 
 
 def _pack_planes(range_m: Floats32, max_error_m: float, step_m: float) -> tuple[list[bytes], int]:

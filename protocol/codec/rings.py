@@ -180,8 +180,9 @@ _FULL_RINGS = 8  # those with the most points determine the columns
 _SAMPLE = 4096  # of points
 _USUAL = 0.99  # of the points decide how far beside its beam a point may lie
 _BEAM_SHARE = (0.1, 0.6)  # of the bound, at least and at most
-_SURE_MISFITS, _SURE_FILLED, _SURE_ROOM_M = 0.01, 0.25, 0.12
+_SURE_MISFITS, _SURE_FILLED = 0.01, 0.25
 _SURE_BESIDE = 0.15  # of the bound
+_FINE_ROOM_M, _FINE_COLUMNS = 0.12, 4.0  # at most: the bound, and the columns that lie within it
 _SECTORS, _SAMPLE_SHARE, _LEAST_SAMPLE = 8, 1 / 8, 1024  # of a sample: its share, its points
 
 
@@ -254,13 +255,23 @@ class RingImage:
     def is_sure(self, room_m: float) -> bool:
         """Whether the image certainly takes fewer bytes than an octree: no sample is needed.
 
-        It does where next to all points fit, hardly beside their beams, and the beams between them
-        are few: then it took 0.26 to 0.86 of the octree's bytes, at bounds to 10 cm.
+        It does where next to all points fit, hardly beside their beams, the beams between them are
+        few, and the bound is fine.
         """
         filled = len(self.order) / self.range_m.size
         few = len(self.misfits) <= _SURE_MISFITS * len(self.order)
         well = self.beside_m <= _SURE_BESIDE * room_m
-        return few and well and filled >= _SURE_FILLED and room_m <= _SURE_ROOM_M
+        return few and well and filled >= _SURE_FILLED and self.is_fine(room_m)
+
+    def is_fine(self, room_m: float) -> bool:
+        """Whether neighbouring points mostly have places of their own in an octree.
+
+        Indoors, at a coarse bound, many share one, which costs an octree next to nothing.
+        """
+        range_m = self.range_m.reshape(-1)[:: max(1, self.range_m.size // _SAMPLE)]
+        usual_m = float(np.median(range_m[range_m > 0])) if range_m.any() else 0.0
+        apart_m = usual_m * 2 * np.pi / self.rings.columns
+        return room_m <= min(_FINE_ROOM_M, _FINE_COLUMNS * apart_m)
 
     def sectors(self, points: Floats) -> RingImage:
         """Returns what lies in narrow sectors to all sides, a sample of the cloud (N, 3)."""
@@ -365,18 +376,13 @@ def _phases(ring: Ints, azimuth: Floats, columns: int, channels: int) -> npt.NDA
 def _image(
     points: Floats, azimuth: Floats, rings: Rings, ring: Ints, room_m: float
 ) -> RingImage | None:
-    range_m, beside_m = np.empty(len(points)), np.empty(len(points))
-    beam, (turns, azimuths) = np.empty(len(points), np.int64), rings.spin
-    flat = np.sqrt(turns[:, 0] ** 2 + turns[:, 1] ** 2)
-    leads_m = (rings.origin.radius_m / np.maximum(flat, MIN_FLAT)).astype(np.float32)
-    turns = np.column_stack([turns, rings.azimuths / _AZIMUTHS, leads_m])
-    lifted = points - [0.0, 0.0, rings.origin.height_m]
-    measure_beams(lifted, azimuth, turns, azimuths, ring, beam, range_m, beside_m)
-    sample = beside_m[:: max(1, len(points) // _SAMPLE)]
+    some = slice(None, None, max(1, len(points) // _SAMPLE))
+    _, _, sample = _measured(points[some], azimuth[some], rings, ring[some])
     usual_m = 1.1 * float(np.quantile(sample, _USUAL))
     reach_m = min(_BEAM_SHARE[1] * room_m, max(_BEAM_SHARE[0] * room_m, usual_m))
     if np.count_nonzero(sample > reach_m) > 2 * _MISFITS * len(sample):
         return None
+    beam, range_m, beside_m = _measured(points, azimuth, rings, ring)
     beams = len(rings.elevations) * rings.columns
     image, owner = np.zeros(beams, np.float32), np.full(beams, -1, np.int32)
     misfits = np.empty(len(points), np.int64)
@@ -387,3 +393,19 @@ def _image(
     return RingImage(
         rings, image.reshape(shape), reach_m, owner[owner >= 0].astype(np.int64), misfits[:count]
     )
+
+
+def _measured(
+    points: Floats, azimuth: Floats, rings: Rings, ring: Ints
+) -> tuple[Ints, Floats, Floats]:
+    """Returns the beam of each point (N, 3), how far along it and how far beside it that lies."""
+    turns, azimuths = rings.spin
+    flat = np.sqrt(turns[:, 0] ** 2 + turns[:, 1] ** 2)
+    leads_m = (rings.origin.radius_m / np.maximum(flat, MIN_FLAT)).astype(np.float32)
+    turns = np.column_stack([turns, rings.azimuths / _AZIMUTHS, leads_m])
+    lifted = points - [0.0, 0.0, rings.origin.height_m]
+    beam = np.empty(len(points), np.int64)
+    range_m, beside_m = np.empty(len(points)), np.empty(len(points))
+    angles, ring = np.ascontiguousarray(azimuth), np.ascontiguousarray(ring)
+    measure_beams(lifted, angles, turns, azimuths, ring, beam, range_m, beside_m)
+    return beam, range_m, beside_m

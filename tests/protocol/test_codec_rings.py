@@ -194,9 +194,18 @@ def smeared() -> np.ndarray:
     return points.astype(np.float32)
 
 
+def indoors() -> np.ndarray:
+    """A sensor with many lasers in a room, where neighbouring points lie a centimetre apart."""
+    pattern = ScanPattern(64, 2048, 16.6, -16.6)
+    away = pattern.directions.reshape(-1, 3)
+    room = 1 / np.abs(away / [5, 4, 1.4]).max(axis=1)
+    noise_m = np.random.default_rng(0).normal(0, 0.01, room.shape)
+    return (away * (room + noise_m)[:, None]).astype(np.float32)
+
+
 @pytest.mark.parametrize("bound_m", [0.02, 0.05, 0.1, 0.3, 1.0])
 def test_a_cloud_takes_the_smaller_of_its_forms(bound_m):
-    for points in (ringed(), ringed(loss=0.9), smeared()):
+    for points in (ringed(), ringed(loss=0.9), smeared(), indoors()):
         plain = PointCloud(points, np.zeros(len(points), np.float32))
         farthest_m = 3**0.5 * float(np.abs(points.astype(np.float64)).max())
         edge_m = lattice_edge_m(room_m(bound_m, farthest_m, "coordinate"))
@@ -229,3 +238,10 @@ def test_only_rings_beside_which_no_points_lie_are_taken_without_a_sample():
     assert image is not None
     assert image.is_sure(0.1)
     assert not replace(image, beside_m=0.025).is_sure(0.1)
+
+
+@pytest.mark.parametrize(("bound_m", "is_sure"), [(0.01, True), (0.1, False)])
+def test_where_many_points_lie_within_a_bound_a_sample_is_asked(bound_m, is_sure):
+    image = find_rings(indoors().astype(np.float64), bound_m)
+    assert image is not None
+    assert image.is_sure(bound_m) == is_sure
