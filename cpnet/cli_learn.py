@@ -86,6 +86,7 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
     start: Annotated[
         Path | None, typer.Option(help="weights to begin with, trained on other data")
     ] = None,
+    mean: Annotated[bool, typer.Option("--mean", help="write the mean with --start")] = False,
     real: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="real scans mixed in: velodyne/, label_2/ as KITTI's"),
@@ -109,7 +110,7 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
         ) from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, rate=rate, seed=seed)
     mixed = None if real is None else RealFrames(real, real_range, real_share)
-    path = train(Training(dataset, out, network, recipe, start, mixed), errors)
+    path = train(Training(dataset, out, network, recipe, start, mixed, mean), errors)
     if Dataset(dataset).samples("val"):
         errors.print("measuring it on the networks kept for validation")
         (name,) = detectors_of(network)

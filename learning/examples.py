@@ -217,19 +217,12 @@ def example_of(
 
 @dataclass(frozen=True, slots=True)
 class _Thinning:
-    """Augmentation that removes points: off the road, near the ground (as senders), at random.
-
-    And what lies low behind a line, as a hedge, a low wall or parked cars hide it: below
-    `hidden_m`, from `behind_m` on in a direction from the window's middle.
-    """
+    """Augmentation that removes points: off the road, near the ground (as senders), at random."""
 
     fenced: bool
     least_m: float
     share: float
     seed: int
-    hidden_m: float
-    direction_rad: float
-    behind_m: float
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> _Thinning:
@@ -238,16 +231,7 @@ class _Thinning:
             rng.uniform(0.1, 0.35) if rng.random() < 0.2 else -np.inf,
             rng.uniform(0.3, 1.0) if rng.random() < 0.3 else 1.0,
             int(rng.integers(1 << 62)),
-            rng.uniform(0.4, 1.1) if rng.random() < 0.25 else -np.inf,
-            rng.uniform(0, 2 * np.pi),
-            rng.uniform(-OFF_M, OFF_M),
         )
-
-    @property
-    def rule(self) -> Floats:
-        """What `_take` takes."""
-        way = np.cos(self.direction_rad), np.sin(self.direction_rad)
-        return np.array([self.fenced, self.least_m, self.share, self.hidden_m, *way, self.behind_m])
 
 
 class _Turn:
@@ -299,7 +283,7 @@ def _gather(
     room = sum(len(sample.points[scan]) for scan in scans)
     points, height_m = np.empty((room, 3), np.float32), np.empty(room, np.float32)
     frame = np.array([*middle, reach_m, *turn.matrix.reshape(-1), turn.scale])
-    rule = thinning.rule
+    rule = np.array([thinning.fenced, thinning.least_m, thinning.share])
     count = 0
     for scan in scans:
         part = (sample.points[scan], sample.height_m[scan], sample.on_road[scan])
@@ -325,16 +309,13 @@ def _take(
     out_m: Floats32,
 ) -> int:
     x0, y0, reach_m, a, b, c, d, scale = frame
-    fenced, least_m, share, hidden_m = rule[0] > 0, rule[1], rule[2], rule[3]
-    way_x, way_y, behind_m = rule[4], rule[5], rule[6]
+    fenced, least_m, share = rule[0] > 0, rule[1], rule[2]
     state, count = np.uint64(seed), 0
     for index in range(points.shape[0]):
         x, y = points[index, 0] - x0, points[index, 1] - y0
         if abs(x) > reach_m or abs(y) > reach_m:
             continue
         if (fenced and not on_road[index]) or height_m[index] <= least_m:
-            continue
-        if height_m[index] < hidden_m and way_x * x + way_y * y > behind_m:
             continue
         if share < 1:
             # a linear congruence's upper bits are random enough to thin by

@@ -314,7 +314,8 @@ class Training:
     """A training: dataset, network, recipe, and the folder for weights and state.
 
     `start` are weights to begin with, of the same network and anchors; random ones without. `real`
-    are frames mixed in.
+    are frames mixed in. With `mean`, the result is the mean of `start` and of what was learnt from
+    there, which does better on other data than either (Wortsman et al. 2022).
     """
 
     dataset: Path
@@ -323,6 +324,7 @@ class Training:
     recipe: Recipe
     start: Path | None = None
     real: RealFrames | None = None
+    mean: bool = False
 
     def check(self) -> None:
         """Raises ConfigError if it cannot be done."""
@@ -337,6 +339,8 @@ class Training:
             raise ConfigError(f"--rate {self.recipe.rate}: must be more than 0, at most 1")
         if is_file(self.out):
             raise ConfigError(f"--out {self.out}: is a file, needs a folder")
+        if self.mean and self.start is None:
+            raise ConfigError("--mean: needs --start, the weights to take the mean with")
         if self.real is not None:
             self.real.check()
 
@@ -363,6 +367,8 @@ def train(training: Training, console: Console) -> Path:
     elif training.start is not None and start is not None:
         trainer.begin_with(start[0], training.start)
     _run(trainer, _mixed(samples, training.real), training.out, console)
+    if training.mean and start is not None:
+        _to_mean(trainer.network, start[0])
     path = training.out / f"{training.network}.safetensors"
     about = about_of(training, len(samples), None if start is None else start[1])
     save(trainer.network, path, about)
@@ -371,6 +377,14 @@ def train(training: Training, console: Console) -> Path:
 
 def _mixed(samples: PlacedSamples, real: RealFrames | None) -> SampleSource:
     return samples if real is None else MixedSamples(samples, real.samples(), real.share)
+
+
+def _to_mean(network: PointPillars, other: PointPillars) -> None:
+    """Moves the weights of a network half of the way to those of another."""
+    others = other.state_dict()
+    for name, value in network.state_dict().items():
+        if value.is_floating_point():
+            value.lerp_(others[name].to(value), 0.5)
 
 
 def about_of(
@@ -385,6 +399,8 @@ def about_of(
     }
     if training.real is not None:
         about["real"] = training.real.as_dict()
+    if training.mean:
+        about["mean"] = True
     return about if start is None else {**about, "start": start}
 
 

@@ -101,7 +101,7 @@ class PillarsDetection(Section):
 
     weights: str | None = Field(None, description="a safetensors file; null: those shipped")
     min_score: float = Field(
-        0.35, gt=0, lt=1, description="ours: boxes of a lower score are no vehicles"
+        0.32, gt=0, lt=1, description="ours: boxes of a lower score are no vehicles"
     )
     same_iou: float = Field(
         0.1, ge=0, le=1, description="ours: of two boxes that overlap more, one goes"

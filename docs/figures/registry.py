@@ -34,6 +34,11 @@ CONTROL = (
     *("sim_host", "protocol", "signal_controller"),
     *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
 )
+_PUBLIC = (
+    'for folder in "$OUSTER_SDK" "$POINTCLOUDSET"; do [ -d "$folder" ] || { echo "OUSTER_SDK, '
+    'POINTCLOUDSET: must be unpacked source distributions, see docs/figures/public_scans.py" >&2; '
+    "exit 1; }; done; "
+)
 _READING = ("recording/foreign_scans", "learning/kitti_object.py", "sensing/point_files.py")
 LEARNED = ("pointpillars",)
 """Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
@@ -292,12 +297,22 @@ _LIST = (
     ),
     Figure(
         "public-scans",
-        '[ -d "$OUSTER_SDK" ] || { echo "OUSTER_SDK: must be the unpacked source distribution of '
-        'ouster-sdk" >&2; exit 1; }; '
-        'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" public-scans '
-        "fast,pointpillars,pointpillars-full",
+        _PUBLIC + 'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" "$POINTCLOUDSET" '
+        "public-scans fast,pointpillars,pointpillars-full",
         (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py"),
         1,
+        (Part("all", "docs/detection.md", detection.public_scans),),
+        of_rows=True,
+        tracked=False,
+        learned=True,
+    ),
+    Figure(
+        "public-folds",
+        _PUBLIC + "git -C $ROOT show a849f04:perception/pillars/weights/pointpillars.safetensors "
+        "> before.safetensors; rm -rf public-folds; "
+        'python $ROOT/docs/figures/public_folds.py "$OUSTER_SDK" before.safetensors public-folds',
+        (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py", "learning"),
+        26,
         (Part("all", "docs/detection.md", detection.public_scans),),
         of_rows=True,
         tracked=False,

@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `learn`")
 
-from learning.examples import SURE_POINTS, example_of  # noqa: E402 - after the check for torch
-from learning.kitti import line_of  # noqa: E402
-from learning.real_frames import RealFrames  # noqa: E402
-from learning.training import MixedSamples  # noqa: E402
-from perception.pillars.config import PillarsConfig  # noqa: E402
-from protocol.errors import ConfigError  # noqa: E402
-from protocol.messages import ObjectClass  # noqa: E402
+from learning.examples import SURE_POINTS, example_of
+from learning.kitti import line_of
+from learning.real_frames import RealFrames
+from learning.training import MixedSamples
+from perception.pillars.config import PillarsConfig
+from protocol.errors import ConfigError
+from protocol.messages import ObjectClass
 
 SENSOR_M = 1.8  # over the ground
 CAR = np.array([10.0, 5.0, 0.75 - SENSOR_M, 4.4, 1.8, 1.5, 0.3])
@@ -72,8 +72,9 @@ def test_real_samples_are_repeated_to_their_share(share: float, real: int) -> No
 
 
 @pytest.mark.parametrize(
-    ("range_m", "share", "named"), [(30, 1.0, "--real-share"), (30, 0, "--real-share"), (0, 0.2, "--real-range")]
-)  # fmt: skip
+    ("range_m", "share", "named"),
+    [(30, 1.0, "--real-share"), (30, 0, "--real-share"), (0, 0.2, "--real-range")],
+)
 def test_a_number_out_of_bounds_is_named(
     folder: Path, range_m: float, share: float, named: str
 ) -> None:

@@ -42,7 +42,9 @@ def public_scans(rows: Rows) -> Table:
     """Returns what was found and what was right, by detector and scene, streets and all."""
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     groups = {one: [one] for one in scenes}
-    groups |= {"streets": [one for one in scenes if one.startswith("street")], "all": scenes}
+    ouster = [one for one in scenes if not one.startswith("kitti")]
+    groups |= {"streets": [one for one in ouster if one.startswith("street")]}
+    groups |= {"all of Ouster's": ouster}
     ways = list(dict.fromkeys((row["detector"], row["score"]) for row in rows))
     heads = [f"`{name}`" + (f" from {score:g}" if score else "") for name, score in ways]
     table = [["scene", "vehicles", *(f"{head}, found / right" for head in heads)]]
