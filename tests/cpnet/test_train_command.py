@@ -48,7 +48,7 @@ def write_frame(folder: Path) -> None:
     """Writes level ground and a labelled block on it, in KITTI's layout."""
     rng = np.random.default_rng(1)
     ground = np.column_stack([rng.uniform(-20, 20, (5000, 2)), np.full(5000, -1.8)])
-    block = rng.uniform(-0.7, 0.7, (100, 3)) + [8.0, 3.0, -1.0]
+    block = np.array([8.0, 3.0, -1.0]) + rng.uniform(-0.7, 0.7, (100, 3))
     for part in ("velodyne", "label_2"):
         (folder / part).mkdir(parents=True)
     np.save(folder / "velodyne" / "one.npy", np.concatenate([ground, block]).astype(np.float32))
