@@ -197,6 +197,7 @@ _LIST = (
         5,
         (
             Part("kinds", "docs/codec.md", codecs.codec_kinds),
+            Part("extremes", "docs/codec.md", codecs.codec_extremes),
             Part("scans", "docs/codec.md", codecs.codec_scans),
             Part("floor", "docs/codec.md", codecs.codec_floor),
         ),

@@ -28,6 +28,8 @@ _TOLERANCES_M = (0.5, 0.3)  # from the plane that is expected: votes that count,
 _FITS_M, _STANDS_M = 0.2, 0.5  # over or below the ground: it fits; above: something that stands
 _PRIOR = 8.0  # votes: the weight of the neighbours' heights
 _FITS_WELL = 0.7
+_BELOW_AROUND_M, _DEEPEST_M, _AGREE_M = 8.0, 1.2, 0.25  # of a node; below its plane; apart
+_LEAST_BELOW, _BELOW_SHARE = 6, 0.25  # votes below; of those that fit the plane
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +165,7 @@ def _moved(plane: Floats, by_m: Floats) -> Floats:
 
 def _fitted(votes: Floats, expected: Floats) -> Floats:
     """Returns the plane (3,) of votes (V, 3) near an expected one, which counts as a few."""
+    expected = expected - np.array([_drop_m(votes, expected), 0.0, 0.0])
     prior = np.diag([_PRIOR, *(2 * [_PRIOR * (_AROUND_M / 2) ** 2])])
     plane, terms = expected, np.column_stack([np.ones(len(votes)), votes[:, :2]])
     for tolerance_m in _TOLERANCES_M:
@@ -170,6 +173,24 @@ def _fitted(votes: Floats, expected: Floats) -> Floats:
         of = terms[near]
         plane = np.linalg.solve(of.T @ of + prior, of.T @ votes[near, 2] + prior @ expected)
     return np.asarray(plane)
+
+
+def _drop_m(votes: Floats, plane: Floats) -> float:
+    """Returns how far below a plane votes (V, 3) agree upon the ground, 0 where they fit it.
+
+    Nothing stands below the ground, so that a few votes far below weigh more than those of hedges
+    and cars, which may lie where the ground was expected.
+    """
+    near = votes[np.hypot(votes[:, 0], votes[:, 1]) < _BELOW_AROUND_M]
+    off_m = np.sort(near[:, 2] - plane[0] - near[:, :2] @ plane[1:])
+    fit = np.count_nonzero(np.abs(off_m) < _AGREE_M / 2)
+    below_m = off_m[(off_m > -_DEEPEST_M) & (off_m < -_AGREE_M)]
+    agree = np.searchsorted(below_m, below_m + _AGREE_M) - np.arange(len(below_m))
+    enough = np.flatnonzero(agree >= max(_LEAST_BELOW, _BELOW_SHARE * fit))
+    if not len(enough):
+        return 0.0
+    first = enough[0]
+    return -float(np.median(below_m[first : first + agree[first]]))
 
 
 _AT_ONCE = 2000  # places; bounds the memory

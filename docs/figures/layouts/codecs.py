@@ -25,6 +25,24 @@ def codec_kinds(rows: Rows) -> Table:
     return table
 
 
+def codec_extremes(rows: Rows) -> str:
+    """Returns in a sentence the extremes of what is in the table of kinds."""
+    pairs = [
+        _beside_draco(rows, row["cloud"], row["bound_m"], "default")
+        for row in rows
+        if row["codec"] == "draco" and row["kind"] in ("simulated", "file")
+    ]
+    shares = sorted(row["bytes"] / draco["bytes"] for row, draco in pairs)
+    encode, decode = (
+        min(draco[step] / row[step] for row, draco in pairs) for step in ("encode_ms", "decode_ms")
+    )
+    return (
+        f"In {len(pairs)} cells a cloud takes {fixed(shares[0], 2)} to {fixed(shares[-1], 2)} of "
+        f"Draco's bytes; encoding is {fixed(encode, 2)} times as fast or faster, decoding "
+        f"{fixed(decode, 2)} times."
+    )
+
+
 def _beside_draco(
     rows: Rows, cloud: str, bound_m: float, codec: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
