@@ -86,15 +86,20 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
     start: Annotated[
         Path | None, typer.Option(help="weights to begin with, trained on other data")
     ] = None,
-    mean: Annotated[bool, typer.Option("--mean", help="write the mean with --start")] = False,
+    mean: Annotated[
+        bool, typer.Option("--mean", help="write the mean of the weights learnt and --start")
+    ] = False,
     real: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="real scans mixed in: velodyne/, label_2/ as KITTI's"),
     ] = None,
-    real_share: Annotated[float, typer.Option(help="of all windows")] = 0.25,
+    real_share: Annotated[
+        float | None, typer.Option(help="of --real in all windows; 0.25 if not given")
+    ] = None,
     real_range: Annotated[
-        float, typer.Option(metavar="M", help="to which all vehicles are labelled")
-    ] = 50.0,
+        float | None,
+        typer.Option(metavar="M", help="to which --real has labels of all vehicles; 50"),
+    ] = None,
 ) -> None:
     """Train PointPillars on labelled scans, on a GPU if there is one."""
     from cpnet.evaluation import detectors_of, figures_of
@@ -109,7 +114,10 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
             f"training needs PyTorch (extra `learn`): {error}; {to_install('learn')}"
         ) from None
     recipe = Recipe(steps=steps, windows=windows, cells=cells, rate=rate, seed=seed)
-    mixed = None if real is None else RealFrames(real, real_range, real_share)
+    if real is None and (real_share, real_range) != (None, None):
+        raise ConfigError("--real-share and --real-range are for --real DIR")
+    share, range_m = _or(real_share, 0.25), _or(real_range, 50.0)
+    mixed = None if real is None else RealFrames(real, range_m, share)
     path = train(Training(dataset, out, network, recipe, start, mixed, mean), errors)
     if Dataset(dataset).samples("val"):
         errors.print("measuring it on the networks kept for validation")
@@ -118,6 +126,10 @@ def train_command(  # noqa: PLR0913 - one parameter per option of the command
     else:
         errors.print(f"not measured: {dataset} keeps no networks for validation")
     console.print(f"wrote {path}", highlight=False, soft_wrap=True)
+
+
+def _or(given: float | None, default: float) -> float:
+    return default if given is None else given
 
 
 class TrackFormat(StrEnum):

@@ -82,17 +82,32 @@ class Calibration:
         x = cos * corners[..., 0] - sin * corners[..., 1] + boxes[:, 0, None]
         y = sin * corners[..., 0] + cos * corners[..., 1] + boxes[:, 1, None]
         z = corners[..., 2] + boxes[:, 2, None]
-        lidar = np.stack([x, y, z, np.ones_like(x)], -1)
-        pixels = lidar @ (self.pixels_P_camera @ self.camera_T_lidar).T
-        depth_m = pixels[..., 2:]
-        flat = pixels[..., :2] / np.maximum(depth_m, _NEAREST_M)
-        width, height = 2 * self.pixels_P_camera[0, 2], 2 * self.pixels_P_camera[1, 2]
-        middle = flat.mean(axis=1)
-        inside = (depth_m[..., 0] > _NEAREST_M).all(axis=1)
-        inside &= (middle >= 0).all(axis=1) & (middle[:, 0] < width) & (middle[:, 1] < height)
-        most = np.array([width, height])
+        flat, depth_m = self._projected(np.stack([x, y, z], -1))
+        middle, most = flat.mean(axis=1), self._image_size
+        inside = (depth_m > _NEAREST_M).all(axis=1)
+        inside &= ((middle >= 0) & (middle < most)).all(axis=1)
         low, high = flat.min(axis=1).clip(0, most), flat.max(axis=1).clip(0, most)
         return np.concatenate([low, high], axis=1), inside
+
+    def pixels_of(self, points: Floats32) -> tuple[Floats, Bools]:
+        """Returns points (N, 3) in the image (N, 2), and which are in it; there must be one."""
+        pixels, depth_m = self._projected(points.astype(np.float64))
+        inside = ((pixels >= 0) & (pixels < self._image_size)).all(axis=1)
+        return pixels, np.asarray(inside & (depth_m > _NEAREST_M))
+
+    def _projected(self, points: Floats) -> tuple[Floats, Floats]:
+        """Returns points (..., 3) in pixels (..., 2), and how far before the camera they lie."""
+        camera = points @ self.camera_T_lidar[:3, :3].T + self.camera_T_lidar[:3, 3]
+        assert self.pixels_P_camera is not None
+        image = camera @ self.pixels_P_camera[:, :3].T + self.pixels_P_camera[:, 3]
+        depth_m = image[..., 2]
+        return image[..., :2] / np.maximum(depth_m, _NEAREST_M)[..., None], depth_m
+
+    @property
+    def _image_size(self) -> Floats:
+        """Width and height in pixels, if the image's middle is the camera's axis."""
+        assert self.pixels_P_camera is not None
+        return 2 * self.pixels_P_camera[:2, 2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,6 +6,7 @@ Windows are drawn by seed and step; `train` is what `cpnet train` calls.
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections import deque
@@ -77,24 +78,6 @@ class PlacedSamples:
         return sample
 
 
-class MixedSamples:
-    """Generated samples and real ones, so repeated that these are their share of all."""
-
-    def __init__(
-        self, generated: PlacedSamples, real: Sequence[PlacedSample], share: float
-    ) -> None:
-        self._generated, self._real = generated, real
-        self._repeated = round(share / (1 - share) * len(generated))
-
-    def __len__(self) -> int:
-        return len(self._generated) + self._repeated
-
-    def __getitem__(self, index: int) -> PlacedSample:
-        """Returns a sample; generated ones come first."""
-        beyond = index - len(self._generated)
-        return self._generated[index] if beyond < 0 else self._real[beyond % len(self._real)]
-
-
 ALPHA, GAMMA = 0.25, 2.0
 BOX_WEIGHT = 2.0
 _BETA = 1 / 9
@@ -159,6 +142,25 @@ class SampleSource(Protocol):
         """Returns one."""
 
 
+class MixedSamples:
+    """Generated samples and real ones, each so often that the real ones are their share of all."""
+
+    def __init__(self, generated: SampleSource, real: Sequence[PlacedSample], share: float) -> None:
+        self._generated, self._real = generated, real
+        rounds = max(1, math.ceil(len(real) * (1 - share) / share / len(generated)))
+        self._places = rounds * len(generated)
+        self._real_places = round(share / (1 - share) * self._places)
+
+    def __len__(self) -> int:
+        return self._places + self._real_places
+
+    def __getitem__(self, index: int) -> PlacedSample:
+        """Returns a sample; generated ones come first."""
+        if index < self._places:
+            return self._generated[index % len(self._generated)]
+        return self._real[(index - self._places) % len(self._real)]
+
+
 @dataclass(frozen=True, slots=True)
 class Recipe:
     """Hyperparameters; with data and network they decide the result."""
@@ -192,10 +194,15 @@ class StepLosses:
 
 
 class Trainer:
-    """A network with its optimiser; `run` continues from the last step."""
+    """A network with its optimiser; `run` continues from the last step.
 
-    def __init__(self, config: PillarsConfig, recipe: Recipe, device: torch.device) -> None:
-        self.recipe = recipe
+    `data` describes what it is trained on: a state of other data is not resumed.
+    """
+
+    def __init__(
+        self, config: PillarsConfig, recipe: Recipe, device: torch.device, data: str = ""
+    ) -> None:
+        self.recipe, self._data = recipe, data
         self.step = 0
         self._device = device
         self._half = computes_in_half(device)
@@ -302,7 +309,8 @@ class Trainer:
         return True
 
     def _recipe_text(self) -> str:
-        return json.dumps([self.network.config.model_dump(), self.recipe.as_dict()])
+        config, recipe = self.network.config.model_dump(), self.recipe.as_dict()
+        return json.dumps([config, recipe, self._data])
 
 
 KEPT_LOSSES = 200  # steps whose mean loss is shown
@@ -315,7 +323,7 @@ class Training:
 
     `start` are weights to begin with, of the same network and anchors; random ones without. `real`
     are frames mixed in. With `mean`, the result is the mean of `start` and of what was learnt from
-    there, which does better on other data than either (Wortsman et al. 2022).
+    there, statistics of norms too (Wortsman et al. 2022).
     """
 
     dataset: Path
@@ -360,23 +368,24 @@ def train(training: Training, console: Console) -> Path:
         training.out.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:
         raise ConfigError(f"--out {training.out}: {error}") from None
-    trainer = Trainer(NETWORKS[training.network], training.recipe, device)
     start = None if training.start is None else load(training.start)
+    real = {} if training.real is None else training.real.samples()
+    about = about_of(training, len(samples), list(real), None if start is None else start[1])
+    trainer = Trainer(NETWORKS[training.network], training.recipe, device, json.dumps(about))
+    if training.start is not None and start is not None:
+        trainer.begin_with(start[0], training.start)
     if trainer.resume(training.out):
         console.print(f"going on after step {trainer.step}")
-    elif training.start is not None and start is not None:
-        trainer.begin_with(start[0], training.start)
-    _run(trainer, _mixed(samples, training.real), training.out, console)
+    source: SampleSource = samples
+    if training.real is not None:
+        source = MixedSamples(samples, list(real.values()), training.real.share)
+    _run(trainer, source, training.out, console)
     if training.mean and start is not None:
         _to_mean(trainer.network, start[0])
+        about["mean"] = True
     path = training.out / f"{training.network}.safetensors"
-    about = about_of(training, len(samples), None if start is None else start[1])
     save(trainer.network, path, about)
     return path
-
-
-def _mixed(samples: PlacedSamples, real: RealFrames | None) -> SampleSource:
-    return samples if real is None else MixedSamples(samples, real.samples(), real.share)
 
 
 def _to_mean(network: PointPillars, other: PointPillars) -> None:
@@ -388,9 +397,12 @@ def _to_mean(network: PointPillars, other: PointPillars) -> None:
 
 
 def about_of(
-    training: Training, samples: int, start: dict[str, object] | None = None
+    training: Training,
+    samples: int,
+    frames: Sequence[str] = (),
+    start: dict[str, object] | None = None,
 ) -> dict[str, object]:
-    """Returns the description in the weights' file: network, recipe, dataset, and of the start."""
+    """Returns the description in the weights' file: network, recipe, data, and of the start."""
     about: dict[str, object] = {
         "network": training.network,
         "recipe": training.recipe.as_dict(),
@@ -398,9 +410,8 @@ def about_of(
         "samples": samples,
     }
     if training.real is not None:
-        about["real"] = training.real.as_dict()
-    if training.mean:
-        about["mean"] = True
+        of_real = {"range_m": training.real.range_m, "share": training.real.share}
+        about["real"] = {"frames": list(frames), **of_real}
     return about if start is None else {**about, "start": start}
 
 

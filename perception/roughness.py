@@ -3,10 +3,12 @@
 The points of one scan around a place on a vehicle's side lie within a few centimetres of a plane;
 those on a bush or a tree's crown lie nearly as deep as they lie wide (eigenvalues of the
 neighbours' covariance, by which Weinmann et al. 2015 tell vegetation). A trimmed hedge is smoother,
-but as high at both of its ends as in its middle, which of vehicles only smooth ones are.
+but as high as its box at both ends, which of vehicles only smooth ones are.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
@@ -15,12 +17,12 @@ from perception.arrays import Bools, Floats, Floats32, Ints
 
 REACH_M = 0.4  # of a neighbourhood
 LEAST_NEIGHBOURS, LEAST_PLACES, LEAST_POINTS = 6, 16, 60  # fewer tell nothing
-MOST_PLACES, MOST_POINTS = 48, 1024  # of a box that are looked at, evenly
-LEAVES = (0.07, 0.5)
+PLACES, MOST_POINTS = 48, 1024  # of a box, evenly: at least so many are looked at, and at most
+LEAVES = (0.07, 0.5), (0.055, 0.6)
 """Standard deviation off the plane in m, and its share of that along the plane, the lesser one."""
-HEDGE = (0.045, 0.3)  # of what is as high at both ends
+HEDGE = ((0.045, 0.3),)  # of what is as high as its box at both ends
 END_M, END_HEIGHT = 0.8, 0.85  # of an end, and of the box's height
-_LOW_M, _OWN_M = 0.4, 0.2  # over the road, where a box's points begin; around it, where they end
+LOW_M, OWN_M = 0.4, 0.2  # over the road, where a box's points begin; around it, where they end
 
 
 def are_leafy(boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints) -> Bools:
@@ -36,22 +38,29 @@ def are_leafy(boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints) 
     result = np.zeros((len(boxes), 4))
     _measure(np.ascontiguousarray(boxes), points, height_m, starts, result)
     thick_m, share, rear_m, front_m = result.T
-    is_block = np.minimum(rear_m, front_m) >= END_HEIGHT * boxes[:, 5]
-    leaves, hedge = ((thick_m >= least_m) & (share >= least) for least_m, least in (LEAVES, HEDGE))
-    return np.asarray(leaves | (hedge & is_block))
+    top_m = boxes[:, 2] + boxes[:, 5] / 2
+    is_block = np.minimum(rear_m, front_m) >= END_HEIGHT * top_m
+    is_leafy = _reach(thick_m, share, LEAVES) | (is_block & _reach(thick_m, share, HEDGE))
+    return np.asarray(is_leafy)
+
+
+def _reach(thick_m: Floats, share: Floats, least: Sequence[tuple[float, float]]) -> Bools:
+    """Marks where both (N,) reach one of the pairs."""
+    pairs = [(thick_m >= one_m) & (share >= part) for one_m, part in least]
+    return np.asarray(np.any(pairs, axis=0))
 
 
 @njit("int64(float64[::1], float32[:,::1], float32[::1], int64, int64, int64[::1])", cache=True,
       nogil=True)  # fmt: skip
 def _own(box: Floats, points: Floats32, height_m: Floats32, first: int, end: int, own: Ints) -> int:
     """Lists a part's points in a box; returns how many there are."""
-    cos, sin, top_m = np.cos(box[6]), np.sin(box[6]), box[2] + box[5] / 2 + _OWN_M
+    cos, sin, top_m = np.cos(box[6]), np.sin(box[6]), box[2] + box[5] / 2 + OWN_M
     count = 0
     for index in range(first, end):
         x, y = points[index, 0] - box[0], points[index, 1] - box[1]
         along, across = abs(cos * x + sin * y), abs(cos * y - sin * x)
-        is_in = along <= box[3] / 2 + _OWN_M and across <= box[4] / 2 + _OWN_M
-        if is_in and _LOW_M < height_m[index] <= top_m:
+        is_in = along <= box[3] / 2 + OWN_M and across <= box[4] / 2 + OWN_M
+        if is_in and LOW_M < height_m[index] <= top_m:
             own[count] = index
             count += 1
     return count
@@ -59,7 +68,7 @@ def _own(box: Floats, points: Floats32, height_m: Floats32, first: int, end: int
 
 @njit("void(float64[:,::1], float64[::1])", cache=True, nogil=True)
 def _about(near: Floats, result: Floats) -> None:
-    step = max(1, len(near) // MOST_PLACES)
+    step = max(1, len(near) // PLACES)
     thick_m, share = np.empty(len(near)), np.empty(len(near))
     places = 0
     for place in range(0, len(near), step):

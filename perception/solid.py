@@ -6,7 +6,7 @@ counted, box by box, that speak against it: those that a sensor saw right throug
 deep in it that a sensor saw through its near side, as the back of a bus shelter or of a room, those
 that stand in a column over it, as a wall does (a tree's crown over a car leaves air between), and
 the metres that its upper part goes on beyond its ends, as a hedge does. Cars that stand bumper to
-bumper have metres of air between their cabins.
+bumper have metres of air between their cabins. For leaves see `perception.roughness`.
 """
 
 from __future__ import annotations
@@ -19,11 +19,9 @@ from numba import njit
 from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
 from perception.detector import Cloud, Vehicles
 from perception.roadway import Roadway, merge
-from perception.roughness import are_leafy
+from perception.roughness import LOW_M, OWN_M, are_leafy
 from protocol.messages import ObjectClass
 
-LOW_M = 0.4  # over the road: lower points are of the ground and of kerbs
-OWN_M = 0.2  # points so near a box are its own
 AIR_M = (0.3, 1.3)  # over a roof, which a wall fills and a crown leaves free
 HIGHER_M = 0.8  # over a roof, from where on nothing can be the vehicle's
 CORE = 0.6  # of a box's length and width: rays through it go through the vehicle
@@ -71,8 +69,8 @@ def solid_of(
     kept = are_solid(found.classes, observed)
     if unmapped:
         kept &= are_seen(observed) & ~are_open(found.classes, observed)
-        is_body = found.classes <= ObjectClass.TRUCK
-        kept[kept & is_body] = ~are_leafy(boxes[kept & is_body], points, height_m, sizes)
+        asked = np.flatnonzero(kept & (found.classes <= ObjectClass.TRUCK))
+        kept[asked] = ~are_leafy(boxes[asked], points, height_m, sizes)
     return found.take(kept)
 
 

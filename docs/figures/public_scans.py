@@ -78,8 +78,8 @@ def write_frames(recordings: Path, folder: Path) -> None:
 
 def write_kitti(table: Path, folder: Path) -> None:
     """Adds a frame of KITTI, which the package has as Parquet."""
-    columns = parquet.read_table(table, columns=["x", "y", "z", "i"])
-    cloud = np.column_stack([columns[name].to_numpy() for name in columns.column_names])
+    columns = parquet.read_table(table)
+    cloud = np.column_stack([columns[name].to_numpy() for name in ("x", "y", "z", "i")])
     np.save(folder / "velodyne" / f"{KITTI_SCENE}.npy", cloud.astype(np.float32))
     shutil.copy(LABELS / f"{KITTI_SCENE}.txt", folder / "label_2")
 

@@ -35,8 +35,8 @@ CONTROL = (
     *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
 )
 _PUBLIC = (
-    'for folder in "$OUSTER_SDK" "$POINTCLOUDSET"; do [ -d "$folder" ] || { echo "OUSTER_SDK, '
-    'POINTCLOUDSET: must be unpacked source distributions, see docs/figures/public_scans.py" >&2; '
+    'for folder in "${OUSTER_SDK:-}" "${POINTCLOUDSET:-}"; do [ -d "$folder" ] || { '
+    'echo "OUSTER_SDK, POINTCLOUDSET: must be unpacked source distributions, see docs/figures/public_scans.py" >&2; '
     "exit 1; }; done; "
 )
 _READING = ("recording/foreign_scans", "learning/kitti_object.py", "sensing/point_files.py")
@@ -298,8 +298,9 @@ _LIST = (
     ),
     Figure(
         "public-scans",
-        _PUBLIC + 'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" "$POINTCLOUDSET" '
-        "public-scans fast,pointpillars,pointpillars-full",
+        _PUBLIC + "rm -rf public-scans; "
+        'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" "$POINTCLOUDSET" public-scans '
+        "fast,pointpillars,pointpillars-full",
         (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py"),
         1,
         (Part("all", "docs/detection.md", detection.public_scans),),
@@ -312,10 +313,17 @@ _LIST = (
         _PUBLIC + "git -C $ROOT show a849f04:perception/pillars/weights/pointpillars.safetensors "
         "> before.safetensors; rm -rf public-folds; "
         'python $ROOT/docs/figures/public_folds.py "$OUSTER_SDK" before.safetensors public-folds',
-        (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py", "learning"),
+        (
+            *PERCEPTION,
+            *_READING,
+            "docs/figures/public_scans",
+            "docs/figures/public_scans.py",
+            "studies/kitti_eval.py",
+            "learning",
+            "sensing",
+        ),
         26,
         (Part("all", "docs/detection.md", detection.public_scans),),
-        of_rows=True,
         tracked=False,
         learned=True,
     ),

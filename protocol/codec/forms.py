@@ -40,7 +40,7 @@ MIN_BOUND_M, MAX_BOUND_M = 1e-4, 10.0
 _ROUNDING = 2.0**-22  # of a distance: what float32 may do to a point on both sides
 
 
-# Of a ratio below 1 that a sample tells; where the bound is not fine, it tells too little.
+# How far above a sample's ratio that of all points may lie: where the bound is fine, and coarse.
 _SAMPLE_ERROR, _COARSE_ERROR = 0.06, 0.3
 _TABLES = 250  # bytes by which a sample's tables may mislead
 

@@ -2,7 +2,8 @@
 
 Each square metre of a scan has a vote, its lowest point. Planes are fitted to the votes around the
 nodes of a grid, from the sensors outwards: each begins from those of its neighbours, so that walls
-and cars do not raise it, and where votes are few it extrapolates its neighbours.
+and cars do not raise it, and where votes are few it extrapolates its neighbours. Votes that agree
+on less than that lower it, as beyond a hedge.
 """
 
 from __future__ import annotations
@@ -28,8 +29,10 @@ _TOLERANCES_M = (0.5, 0.3)  # from the plane that is expected: votes that count,
 _FITS_M, _STANDS_M = 0.2, 0.5  # over or below the ground: it fits; above: something that stands
 _PRIOR = 8.0  # votes: the weight of the neighbours' heights
 _FITS_WELL = 0.7
-_BELOW_AROUND_M, _DEEPEST_M, _AGREE_M = 8.0, 1.2, 0.25  # of a node; below its plane; apart
-_LEAST_BELOW, _BELOW_SHARE = 6, 0.25  # votes below; of those that fit the plane
+_BELOW_AROUND_M = 8.0  # of the plane's place: votes that lower it
+_LEAST_DROP_M, _DEEPEST_M = 0.35, 1.2  # below it
+_AGREE_M = 0.25  # so near one another they agree
+_LEAST_BELOW, _BELOW_SHARE = 6, 0.35  # so many at least, and this share of those that fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,20 +179,19 @@ def _fitted(votes: Floats, expected: Floats) -> Floats:
 
 
 def _drop_m(votes: Floats, plane: Floats) -> float:
-    """Returns how far below a plane votes (V, 3) agree upon the ground, 0 where they fit it.
+    """Returns how far below a plane most of the votes (V, 3) below it lie; 0 where they are few.
 
-    Nothing stands below the ground, so that a few votes far below weigh more than those of hedges
-    and cars, which may lie where the ground was expected.
+    Things stand on the ground and hardly anything is seen below it, so that these weigh more than
+    the votes of hedges and cars, some of which lie where the ground was expected.
     """
     near = votes[np.hypot(votes[:, 0], votes[:, 1]) < _BELOW_AROUND_M]
     off_m = np.sort(near[:, 2] - plane[0] - near[:, :2] @ plane[1:])
     fit = np.count_nonzero(np.abs(off_m) < _AGREE_M / 2)
-    below_m = off_m[(off_m > -_DEEPEST_M) & (off_m < -_AGREE_M)]
+    below_m = off_m[(off_m > -_DEEPEST_M) & (off_m < -_LEAST_DROP_M)]
     agree = np.searchsorted(below_m, below_m + _AGREE_M) - np.arange(len(below_m))
-    enough = np.flatnonzero(agree >= max(_LEAST_BELOW, _BELOW_SHARE * fit))
-    if not len(enough):
+    if agree.max(initial=0) < max(_LEAST_BELOW, _BELOW_SHARE * fit):
         return 0.0
-    first = enough[0]
+    first = int(agree.argmax())
     return -float(np.median(below_m[first : first + agree[first]]))
 
 

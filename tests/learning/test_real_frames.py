@@ -40,7 +40,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_objects_stand_on_the_ground_and_nothing_beyond_the_range_is_left(folder: Path) -> None:
-    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples()
+    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples().values()
     (points,), (height_m,) = sample.points, sample.height_m
     assert np.hypot(*points[:, :2].T).max() <= RANGE_M
     is_ground = points[:, 2] == np.float32(-SENSOR_M)
@@ -53,7 +53,7 @@ def test_objects_stand_on_the_ground_and_nothing_beyond_the_range_is_left(folder
 
 
 def test_what_may_be_a_vehicle_is_not_judged(folder: Path) -> None:
-    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples()
+    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples().values()
     rng = np.random.default_rng(2)
     examples = [example_of(sample, 320, PillarsConfig(), rng) for _ in range(8)]
     for example in examples:
@@ -63,12 +63,41 @@ def test_what_may_be_a_vehicle_is_not_judged(folder: Path) -> None:
         assert len(example.targets.place) == example.targets.is_vehicle.sum()
 
 
-@pytest.mark.parametrize(("share", "real"), [(0.5, 100), (0.25, 33), (0.75, 300)])
-def test_real_samples_are_repeated_to_their_share(share: float, real: int) -> None:
-    mixed = MixedSamples(range(100), ["a", "b", "c"], share)  # type: ignore[arg-type]
-    drawn = [mixed[index] for index in range(len(mixed))]
-    assert drawn[:100] == list(range(100))
-    assert drawn[100:] == (["a", "b", "c"] * 100)[:real]
+@pytest.mark.parametrize(
+    ("share", "made", "scans"), [(0.5, 100, 3), (0.25, 100, 3), (0.75, 100, 3), (0.1, 10, 70)]
+)
+def test_all_samples_are_drawn_real_ones_by_their_share(
+    share: float, made: int, scans: int
+) -> None:
+    real = [-1 - number for number in range(scans)]
+    mixed = MixedSamples(range(made), real, share)  # type: ignore[arg-type]
+    drawn = np.array([mixed[index] for index in range(len(mixed))])
+    assert set(drawn) == {*range(made), *real}
+    assert np.mean(drawn < 0) == pytest.approx(share, abs=0.002)
+    times = np.bincount(drawn[drawn >= 0])
+    assert times.min() == times.max()
+
+
+KITTI_CALIB = """P2: 700 0 600 0 0 700 180 0 0 0 1 0
+R0_rect: 1 0 0 0 1 0 0 0 1
+Tr_velo_to_cam: 0 -1 0 0 0 0 -1 0 1 0 0 0
+"""
+
+
+def test_with_a_camera_only_its_image_is_taken_and_not_its_regions_dont_care(folder: Path) -> None:
+    (folder / "calib").mkdir()
+    (folder / "calib" / "one.txt").write_text(KITTI_CALIB)
+    labels = folder / "label_2" / "one.txt"
+    region = "DontCare -1 -1 -10 0 150 300 400 -1 -1 -1 -1000 -1000 -1000 -10"
+    labels.write_text(labels.read_text() + region + "\n")
+    (sample,) = RealFrames(folder, RANGE_M, 0.3).samples().values()
+    x, y, z = sample.points[0].T
+    column, row = 600 - 700 * y / x, 180 - 700 * z / x
+    assert len(x) > 100
+    assert x.min() > 0
+    assert 0 <= column.min() < column.max() <= 1200
+    assert 0 <= row.min() < row.max() <= 360
+    assert not ((column < 300) & (row > 150)).any()
 
 
 @pytest.mark.parametrize(

@@ -97,13 +97,17 @@ def test_the_ground_follows_a_hill() -> None:
 
 
 def terrace(seed: int) -> np.ndarray:
-    """A level road, a hedge beside it, and 0.6 m lower a car park of which little is seen."""
+    """A level road, a hedge beside it, and 0.6 m lower a car park of which little is seen.
+
+    Behind its cars there are a few reflections half a metre below it.
+    """
     rng = np.random.default_rng(seed)
     road = np.column_stack([rng.uniform([-40, -12], [40, 12], (12_000, 2)), np.zeros(12_000)])
     hedge = rng.uniform([-40, 12, 0.0], [40, 14, 1.2], (4000, 3))
     ground = np.column_stack([rng.uniform([-40, 14], [40, 34], (500, 2)), np.full(500, -0.6)])
     cars = rng.uniform([-40, 18, 0.1], [40, 22, 0.9], (3000, 3))
-    points = np.concatenate([road, hedge, ground, cars])
+    ghosts = rng.uniform([-8, 22, -1.2], [8, 28, -1.1], (8, 3))
+    points = np.concatenate([road, hedge, ground, cars, ghosts])
     return points + rng.normal(0, 0.02, points.shape)
 
 

@@ -39,7 +39,7 @@ def accuracy(rows: Rows) -> Table:
 
 
 def public_scans(rows: Rows) -> Table:
-    """Returns what was found and what was right, by detector and scene, streets and all."""
+    """Returns what was found and what was right, by detector and scene, all Ouster's too."""
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     groups = {one: [one] for one in scenes}
     ouster = [one for one in scenes if not one.startswith("kitti")]
