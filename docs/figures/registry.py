@@ -36,8 +36,8 @@ CONTROL = (
 )
 _PUBLIC = (
     'for folder in "${OUSTER_SDK:-}" "${POINTCLOUDSET:-}"; do [ -d "$folder" ] || { '
-    'echo "OUSTER_SDK, POINTCLOUDSET: must be unpacked source distributions, see docs/figures/public_scans.py" >&2; '
-    "exit 1; }; done; "
+    'echo "OUSTER_SDK, POINTCLOUDSET: must be unpacked source distributions, see "'
+    '"docs/figures/public_scans.py" >&2; exit 1; }; done; '
 )
 _READING = ("recording/foreign_scans", "learning/kitti_object.py", "sensing/point_files.py")
 LEARNED = ("pointpillars",)
