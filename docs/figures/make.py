@@ -149,7 +149,7 @@ def compare_rows(names: list[str]) -> None:
 
 
 def measure(figure: Figure) -> None:
-    """Runs a figure's command and keeps what it says, not laid out yet.
+    """Runs a figure's command and keeps what it says, even if it cannot be laid out.
 
     Raises:
         subprocess.CalledProcessError: the command failed.
@@ -179,6 +179,7 @@ def measure(figure: Figure) -> None:
         "parts": (load(figure) or {}).get("parts", {}),
     }
     _write(figure, record)
+    save(figure, record)
 
 
 def refresh(figure: Figure, record: Record) -> Record:

@@ -325,7 +325,6 @@ _LIST = (
         26,
         (Part("all", "docs/detection.md", detection.public_scans),),
         tracked=False,
-        learned=True,
     ),
     Figure(
         "reference",
