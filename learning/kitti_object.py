@@ -133,9 +133,11 @@ def kitti_frames(folder: Path) -> list[KittiFrame]:
     for part in ("velodyne", "label_2"):
         if not (folder / part).is_dir():
             raise ConfigError(f"{folder}: lacks the folder {part}; needs velodyne, label_2, calib")
-    frames = []
+    frames: list[KittiFrame] = []
     for cloud in point_files([folder / "velodyne"]):
         name = cloud.name.split(".")[0]
+        if any(other.name == name for other in frames):
+            raise ConfigError(f"{cloud}: another cloud is called {name} up to the first dot")
         path = folder / "calib" / f"{name}.txt"
         calibration = _calibration(path) if path.is_file() else Calibration.without_camera()
         objects = _objects(folder / "label_2" / f"{name}.txt", calibration)

@@ -35,6 +35,7 @@ CLASSES = {
     "Person_sitting": ObjectClass.PEDESTRIAN,
     DONT_CARE: ObjectClass.CAR,
 }
+LEAST_SHARE = 0.01
 NOT_JUDGED = ("Misc", "Person_sitting", DONT_CARE)
 _UNSURE_POINTS = 1  # below `SURE_POINTS`: the object's anchors are not judged
 
@@ -49,8 +50,10 @@ class RealFrames:
 
     def check(self) -> None:
         """Raises ConfigError if a number is out of bounds."""
-        if not 0 < self.share < 1:
-            raise ConfigError(f"--real-share {self.share}: must be more than 0, less than 1")
+        if not LEAST_SHARE <= self.share <= 1 - LEAST_SHARE:
+            raise ConfigError(
+                f"--real-share {self.share}: must be {LEAST_SHARE} to {1 - LEAST_SHARE}"
+            )
         if not 0 < self.range_m <= 200:
             raise ConfigError(f"--real-range {self.range_m}: must be more than 0 m, at most 200")
 
@@ -74,12 +77,14 @@ def placed(frame: KittiFrame, range_m: float) -> PlacedSample:
     DontCare: elsewhere nothing is labelled.
 
     Raises:
-        ConfigError: the cloud cannot be read.
+        ConfigError: the cloud cannot be read, or has no point there.
     """
     cloud = read_points(frame.cloud)
     roadway = Roadway.of(ground_around(cloud, frame.name, range_m), margin_m=0.0)
     near = cloud.points[np.hypot(*cloud.points[:, :2].T) <= range_m]
     near = near[_are_labelled(frame, near)]
+    if not len(near):
+        raise ConfigError(f"{frame.cloud}: no point within {range_m:g} m where there are labels")
     part = roadway.place(near, SE3.identity(), below_m=BELOW_M, above_m=ABOVE_M)
     part = on_the_ground(Cloud([part], [], np.zeros((1, 3)))).near[0]
     objects = [one for one in frame.objects if np.isfinite(one.box).all()]

@@ -313,6 +313,7 @@ class Trainer:
         return json.dumps([config, recipe, self._data])
 
 
+_SEEDS = 1 << 63
 KEPT_LOSSES = 200  # steps whose mean loss is shown
 SAVE_EVERY_S = 60.0
 
@@ -343,6 +344,8 @@ class Training:
             value = getattr(self.recipe, name)
             if value < low or (name == "cells" and value % 8):
                 raise ConfigError(f"--{name} {value}: must be at least {low}, cells in steps of 8")
+        if not 0 <= self.recipe.seed < _SEEDS:
+            raise ConfigError(f"--seed {self.recipe.seed}: must be 0 to {_SEEDS - 1}")
         if not 0 < self.recipe.rate <= 1:
             raise ConfigError(f"--rate {self.recipe.rate}: must be more than 0, at most 1")
         if is_file(self.out):
@@ -376,6 +379,8 @@ def train(training: Training, console: Console) -> Path:
         trainer.begin_with(start[0], training.start)
     if trainer.resume(training.out):
         console.print(f"going on after step {trainer.step}")
+    elif (training.out / _STATE).is_file():
+        console.print(f"{training.out / _STATE} is of another training: starting anew")
     source: SampleSource = samples
     if training.real is not None:
         source = MixedSamples(samples, list(real.values()), training.real.share)

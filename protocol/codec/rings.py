@@ -181,8 +181,8 @@ _SAMPLE = 4096  # of points
 _USUAL = 0.99  # of the points decide how far beside its beam a point may lie
 _BEAM_SHARE = (0.1, 0.6)  # of the bound, at least and at most
 _SURE_MISFITS, _SURE_FILLED = 0.01, 0.25
-_SURE_BESIDE = 0.15  # of the bound
-_FINE_ROOM_M, _FINE_COLUMNS = 0.12, 4.0  # at most: the bound, and the columns that lie within it
+_SURE_BESIDE, _SURE_SHARING = 0.15, 0.15  # of the bound; see `RingImage._sharing`
+_FINE_ROOM_M, _FINE_SHARING = 0.12, 1.0
 _SECTORS, _SAMPLE_SHARE, _LEAST_SAMPLE = 8, 1 / 8, 1024  # of a sample: its share, its points
 
 
@@ -256,22 +256,30 @@ class RingImage:
         """Whether the image certainly takes fewer bytes than an octree: no sample is needed.
 
         It does where next to all points fit, hardly beside their beams, the beams between them are
-        few, and the bound is fine.
+        few, and hardly two points lie in the width of the bound.
         """
         filled = len(self.order) / self.range_m.size
         few = len(self.misfits) <= _SURE_MISFITS * len(self.order)
         well = self.beside_m <= _SURE_BESIDE * room_m
-        return few and well and filled >= _SURE_FILLED and self.is_fine(room_m)
+        alone = self._sharing(room_m) <= _SURE_SHARING
+        return few and well and alone and filled >= _SURE_FILLED and room_m <= _FINE_ROOM_M
 
     def is_fine(self, room_m: float) -> bool:
-        """Whether neighbouring points mostly have places of their own in an octree.
+        """Whether points mostly have places of their own in an octree.
 
         Indoors, at a coarse bound, many share one, which costs an octree next to nothing.
         """
+        return room_m <= _FINE_ROOM_M and self._sharing(room_m) <= _FINE_SHARING
+
+    def _sharing(self, room_m: float) -> float:
+        """Returns how many points lie in a square of the bound's width at the usual range."""
+        if len(self.rings.elevations) < 2:
+            return 0.0
         range_m = self.range_m.reshape(-1)[:: max(1, self.range_m.size // _SAMPLE)]
         usual_m = float(np.median(range_m[range_m > 0])) if range_m.any() else 0.0
-        apart_m = usual_m * 2 * np.pi / self.rings.columns
-        return room_m <= min(_FINE_ROOM_M, _FINE_COLUMNS * apart_m)
+        gap_rad = float(np.median(np.diff(np.sort(self.rings.elevations))))
+        apart_m2 = usual_m**2 * gap_rad * 2 * np.pi / self.rings.columns
+        return len(self.order) / self.range_m.size * room_m**2 / max(apart_m2, 1e-9)
 
     def sectors(self, points: Floats) -> RingImage:
         """Returns what lies in narrow sectors to all sides, a sample of the cloud (N, 3)."""

@@ -2,8 +2,7 @@
 
 Each square metre of a scan has a vote, its lowest point. Planes are fitted to the votes around the
 nodes of a grid, from the sensors outwards: each begins from those of its neighbours, so that walls
-and cars do not raise it, and where votes are few it extrapolates its neighbours. Votes that agree
-on less than that lower it, as beyond a hedge.
+and cars do not raise it, and where votes are few it extrapolates its neighbours.
 """
 
 from __future__ import annotations
@@ -29,10 +28,6 @@ _TOLERANCES_M = (0.5, 0.3)  # from the plane that is expected: votes that count,
 _FITS_M, _STANDS_M = 0.2, 0.5  # over or below the ground: it fits; above: something that stands
 _PRIOR = 8.0  # votes: the weight of the neighbours' heights
 _FITS_WELL = 0.7
-_BELOW_AROUND_M = 8.0  # of the plane's place: votes that lower it
-_LEAST_DROP_M, _DEEPEST_M = 0.35, 1.2  # below it
-_AGREE_M = 0.25  # so near one another they agree
-_LEAST_BELOW, _BELOW_SHARE = 6, 0.35  # so many at least, and this share of those that fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,7 +163,6 @@ def _moved(plane: Floats, by_m: Floats) -> Floats:
 
 def _fitted(votes: Floats, expected: Floats) -> Floats:
     """Returns the plane (3,) of votes (V, 3) near an expected one, which counts as a few."""
-    expected = expected - np.array([_drop_m(votes, expected), 0.0, 0.0])
     prior = np.diag([_PRIOR, *(2 * [_PRIOR * (_AROUND_M / 2) ** 2])])
     plane, terms = expected, np.column_stack([np.ones(len(votes)), votes[:, :2]])
     for tolerance_m in _TOLERANCES_M:
@@ -176,23 +170,6 @@ def _fitted(votes: Floats, expected: Floats) -> Floats:
         of = terms[near]
         plane = np.linalg.solve(of.T @ of + prior, of.T @ votes[near, 2] + prior @ expected)
     return np.asarray(plane)
-
-
-def _drop_m(votes: Floats, plane: Floats) -> float:
-    """Returns how far below a plane most of the votes (V, 3) below it lie; 0 where they are few.
-
-    Things stand on the ground and hardly anything is seen below it, so that these weigh more than
-    the votes of hedges and cars, some of which lie where the ground was expected.
-    """
-    near = votes[np.hypot(votes[:, 0], votes[:, 1]) < _BELOW_AROUND_M]
-    off_m = np.sort(near[:, 2] - plane[0] - near[:, :2] @ plane[1:])
-    fit = np.count_nonzero(np.abs(off_m) < _AGREE_M / 2)
-    below_m = off_m[(off_m > -_DEEPEST_M) & (off_m < -_LEAST_DROP_M)]
-    agree = np.searchsorted(below_m, below_m + _AGREE_M) - np.arange(len(below_m))
-    if agree.max(initial=0) < max(_LEAST_BELOW, _BELOW_SHARE * fit):
-        return 0.0
-    first = int(agree.argmax())
-    return -float(np.median(below_m[first : first + agree[first]]))
 
 
 _AT_ONCE = 2000  # places; bounds the memory

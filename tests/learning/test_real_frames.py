@@ -116,3 +116,12 @@ def test_a_folder_without_clouds_is_refused(tmp_path: Path) -> None:
         (tmp_path / part).mkdir()
     with pytest.raises(ConfigError, match=str(tmp_path)):
         RealFrames(tmp_path, RANGE_M, 0.3).samples()
+
+
+def test_frames_without_points_and_two_of_one_name_are_refused(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"one\.npy: no point within 0\.001 m"):
+        RealFrames(folder, 1e-3, 0.3).samples()
+    cloud = folder / "velodyne" / "one.npy"
+    cloud.with_name("one.more.npy").write_bytes(cloud.read_bytes())
+    with pytest.raises(ConfigError, match="another cloud is called one"):
+        RealFrames(folder, RANGE_M, 0.3).samples()

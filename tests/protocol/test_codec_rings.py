@@ -194,18 +194,19 @@ def smeared() -> np.ndarray:
     return points.astype(np.float32)
 
 
-def indoors() -> np.ndarray:
+def indoors(loss: float = 0.0) -> np.ndarray:
     """A sensor with many lasers in a room, where neighbouring points lie a centimetre apart."""
     pattern = ScanPattern(64, 2048, 16.6, -16.6)
     away = pattern.directions.reshape(-1, 3)
     room = 1 / np.abs(away / [5, 4, 1.4]).max(axis=1)
-    noise_m = np.random.default_rng(0).normal(0, 0.01, room.shape)
-    return (away * (room + noise_m)[:, None]).astype(np.float32)
+    rng = np.random.default_rng(0)
+    points = away * (room + rng.normal(0, 0.01, room.shape))[:, None]
+    return points[rng.random(len(points)) >= loss].astype(np.float32)
 
 
 @pytest.mark.parametrize("bound_m", [0.02, 0.05, 0.1, 0.3, 1.0])
 def test_a_cloud_takes_the_smaller_of_its_forms(bound_m):
-    for points in (ringed(), ringed(loss=0.9), smeared(), indoors()):
+    for points in (ringed(), ringed(loss=0.9), smeared(), indoors(), indoors(0.3), indoors(0.6)):
         plain = PointCloud(points, np.zeros(len(points), np.float32))
         farthest_m = 3**0.5 * float(np.abs(points.astype(np.float64)).max())
         edge_m = lattice_edge_m(room_m(bound_m, farthest_m, "coordinate"))
