@@ -181,7 +181,8 @@ _SAMPLE = 4096  # of points
 _USUAL = 0.99  # of the points decide how far beside its beam a point may lie
 _BEAM_SHARE = (0.1, 0.6)  # of the bound, at least and at most
 _SURE_MISFITS, _SURE_FILLED = 0.01, 0.25
-_SURE_BESIDE, _SURE_SHARING = 0.15, 0.15  # of the bound; see `RingImage._sharing`
+_SURE_BESIDE = 0.15  # of the bound
+_SURE_SHARING, _SURE_RINGS = 0.55, 1.1  # points in a square of the bound's width, rings across it
 _FINE_ROOM_M, _FINE_SHARING = 0.12, 1.0
 _SECTORS, _SAMPLE_SHARE, _LEAST_SAMPLE = 8, 1 / 8, 1024  # of a sample: its share, its points
 
@@ -261,7 +262,8 @@ class RingImage:
         filled = len(self.order) / self.range_m.size
         few = len(self.misfits) <= _SURE_MISFITS * len(self.order)
         well = self.beside_m <= _SURE_BESIDE * room_m
-        alone = self._sharing(room_m) <= _SURE_SHARING
+        along, across = self._crowding(room_m)
+        alone = filled * along * across <= _SURE_SHARING and across <= _SURE_RINGS
         return few and well and alone and filled >= _SURE_FILLED and room_m <= _FINE_ROOM_M
 
     def is_fine(self, room_m: float) -> bool:
@@ -269,17 +271,22 @@ class RingImage:
 
         Indoors, at a coarse bound, many share one, which costs an octree next to nothing.
         """
-        return room_m <= _FINE_ROOM_M and self._sharing(room_m) <= _FINE_SHARING
+        along, across = self._crowding(room_m)
+        filled = len(self.order) / self.range_m.size
+        return room_m <= _FINE_ROOM_M and filled * along * across <= _FINE_SHARING
 
-    def _sharing(self, room_m: float) -> float:
-        """Returns how many points lie in a square of the bound's width at the usual range."""
-        if len(self.rings.elevations) < 2:
-            return 0.0
+    def _crowding(self, room_m: float) -> tuple[float, float]:
+        """Returns how many columns and how many rings lie within the bound, at a long range.
+
+        The range is the upper quartile: what lies nearer than the rest is the road, mostly.
+        """
         range_m = self.range_m.reshape(-1)[:: max(1, self.range_m.size // _SAMPLE)]
-        usual_m = float(np.median(range_m[range_m > 0])) if range_m.any() else 0.0
+        range_m = range_m[range_m > 0]
+        if not len(range_m) or len(self.rings.elevations) < 2:
+            return 0.0, 0.0
+        within_rad = room_m / float(np.quantile(range_m, 0.75))
         gap_rad = float(np.median(np.diff(np.sort(self.rings.elevations))))
-        apart_m2 = usual_m**2 * gap_rad * 2 * np.pi / self.rings.columns
-        return len(self.order) / self.range_m.size * room_m**2 / max(apart_m2, 1e-9)
+        return within_rad * self.rings.columns / (2 * np.pi), within_rad / max(gap_rad, 1e-9)
 
     def sectors(self, points: Floats) -> RingImage:
         """Returns what lies in narrow sectors to all sides, a sample of the cloud (N, 3)."""
