@@ -133,16 +133,16 @@ def kitti_frames(folder: Path) -> list[KittiFrame]:
     for part in ("velodyne", "label_2"):
         if not (folder / part).is_dir():
             raise ConfigError(f"{folder}: lacks the folder {part}; needs velodyne, label_2, calib")
-    frames: list[KittiFrame] = []
+    frames: dict[str, KittiFrame] = {}
     for cloud in point_files([folder / "velodyne"]):
         name = cloud.name.split(".")[0]
-        if any(other.name == name for other in frames):
+        if name in frames:
             raise ConfigError(f"{cloud}: another cloud is called {name} up to the first dot")
         path = folder / "calib" / f"{name}.txt"
         calibration = _calibration(path) if path.is_file() else Calibration.without_camera()
         objects = _objects(folder / "label_2" / f"{name}.txt", calibration)
-        frames.append(KittiFrame(name, cloud, objects, calibration))
-    return frames
+        frames[name] = KittiFrame(name, cloud, objects, calibration)
+    return list(frames.values())
 
 
 def _objects(path: Path, calibration: Calibration) -> list[KittiObject]:
