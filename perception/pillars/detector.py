@@ -22,6 +22,7 @@ from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.map_height import TRUSTED_M
 from perception.pillars.config import STRIDE
+from perception.pillars.hidden_ground import LOWER_M, with_lower
 from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
 from perception.pillars.seen_side import behind_their_points
 from perception.pillars.weights import network_of
@@ -222,21 +223,31 @@ class PillarsDetector:
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
         """See `perception.detector.Detector.detect`."""
         with stage("detect"):
-            parts = [*cloud.near, *cloud.bare]
-            points, road_m = merge(parts)
-            windows = cover(
-                np.concatenate([np.zeros((0, 3), np.float32), *(part.lowest for part in parts)]),
-                self._engine.config.cell_m,
-            )
-            boxes, scores, classes = self._ask(points, points[:, 2] - road_m, windows)
-            kept = suppress(boxes, scores, iou=self._config.same_iou)
-            boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
-            sizes = np.array([len(part.points) for part in parts], np.int64)
-            boxes = behind_their_points(boxes, points, points[:, 2] - road_m, sizes, cloud.sensors)
-            boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway)
-            boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
-            found = Vehicles.from_lidar(boxes, scores, classes)
-            return solid_of(found, cloud, self._roadway, unmapped=self._unmapped)
+            found = self._found(cloud, 0.0)
+            if not self._unmapped:
+                return found
+            return with_lower(found, self._found(cloud, LOWER_M), *cloud.points_over_road())
+
+    def _found(self, cloud: Cloud, lower_m: float) -> Vehicles:
+        """Returns the vehicles on ground that lies so much lower than the road."""
+        parts = [*cloud.near, *cloud.bare]
+        points, road_m = merge(parts)
+        height_m = points[:, 2] - road_m
+        windows = cover(
+            np.concatenate([np.zeros((0, 3), np.float32), *(part.lowest for part in parts)]),
+            self._engine.config.cell_m,
+        )
+        boxes, scores, classes = self._ask(points, height_m + np.float32(lower_m), windows)
+        kept = suppress(boxes, scores, iou=self._config.same_iou)
+        boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
+        sizes = np.array([len(part.points) for part in parts], np.int64)
+        boxes = behind_their_points(boxes, points, height_m, sizes, cloud.sensors)
+        boxes[:, 2] -= lower_m
+        foot_m = boxes[:, 2] - boxes[:, 5] / 2 if self._unmapped else None
+        boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway)
+        boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
+        found = Vehicles.from_lidar(boxes, scores, classes)
+        return solid_of(found, cloud, self._roadway, unmapped=self._unmapped, foot_m=foot_m)
 
     def _ask(
         self, points: Floats32, height_m: Floats32, windows: list[Window]
