@@ -34,14 +34,18 @@ CONTROL = (
     *("sim_host", "protocol", "signal_controller"),
     *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
 )
-_PUBLIC = (
-    'for folder in "${OUSTER_SDK:-}" "${POINTCLOUDSET:-}"; do [ -d "$folder" ] || { '
-    'echo "OUSTER_SDK, POINTCLOUDSET: must be unpacked source distributions, see "'
-    '"docs/figures/public_scans.py" >&2; exit 1; }; done; '
-)
 _READING = ("recording/foreign_scans", "learning/kitti_object.py", "sensing/point_files.py")
 LEARNED = ("pointpillars",)
 """Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
+
+
+def _given(*names: str) -> str:
+    """Returns commands that stop unless these variables name folders of source distributions."""
+    folders = " ".join(f'"${{{name}:-}}"' for name in names)
+    return (
+        f'for folder in {folders}; do [ -d "$folder" ] || {{ echo "{", ".join(names)}: must be '
+        'unpacked source distributions, see docs/figures/public_scans.py" >&2; exit 1; }; done; '
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,7 +302,7 @@ _LIST = (
     ),
     Figure(
         "public-scans",
-        _PUBLIC + "rm -rf public-scans; "
+        _given("OUSTER_SDK", "POINTCLOUDSET") + "rm -rf public-scans; "
         'python $ROOT/docs/figures/public_scans.py "$OUSTER_SDK" "$POINTCLOUDSET" public-scans '
         "fast,pointpillars,pointpillars-full",
         (*PERCEPTION, *_READING, "docs/figures/public_scans", "studies/kitti_eval.py"),
@@ -310,7 +314,8 @@ _LIST = (
     ),
     Figure(
         "public-folds",
-        _PUBLIC + "git -C $ROOT show a849f04:perception/pillars/weights/pointpillars.safetensors "
+        _given("OUSTER_SDK")
+        + "git -C $ROOT show a849f04:perception/pillars/weights/pointpillars.safetensors "
         "> before.safetensors; rm -rf public-folds; "
         'python $ROOT/docs/figures/public_folds.py "$OUSTER_SDK" before.safetensors public-folds',
         (

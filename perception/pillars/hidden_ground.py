@@ -11,10 +11,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 
-from perception.arrays import Floats, Floats32, Ints
+from perception.arrays import Bools, Floats, Floats32, Ints
 from perception.boxes import overlaps
 from perception.detector import Vehicles
+from perception.votes import span, squares, squares_of
 
 LOWER_M = 0.5
 WEIGHT = 0.95  # of scores on lower ground, for it is seldom
@@ -47,21 +49,38 @@ def with_lower(found: Vehicles, lower: Vehicles, points: Floats32, height_m: Flo
 
 def ground_squares(boxes: Floats, points: Floats32, height_m: Floats32) -> Ints:
     """Counts the squares in and around boxes (N, 7) in which nothing but ground is seen (N,)."""
-    flat = _flat_squares(points, height_m)
-    off = flat[None] - boxes[:, None, :2]
-    cos, sin = np.cos(boxes[:, 6, None]), np.sin(boxes[:, 6, None])
-    along = np.abs(cos * off[..., 0] + sin * off[..., 1])
-    across = np.abs(cos * off[..., 1] - sin * off[..., 0])
-    reach = boxes[:, None, 3:5] / 2 + AROUND_M
-    near = (along < reach[..., 0]) & (across < reach[..., 1])
-    return np.asarray(near.sum(axis=1))
-
-
-def _flat_squares(points: Floats32, height_m: Floats32) -> Floats:
-    """Returns the middles (K, 2) of the squares whose points all lie near the road's height."""
     if not len(points):
-        return np.zeros((0, 2))
-    cell = np.floor(points[:, :2] / SQUARE_M).astype(np.int64)
-    squares, of_point = np.unique(cell, axis=0, return_inverse=True)
-    stands = np.bincount(of_point, np.abs(height_m) >= LEVEL_M) > 0
-    return np.asarray((squares[~stands] + 0.5) * SQUARE_M)
+        return np.zeros(len(boxes), np.int64)
+    grid = squares(span(points), SQUARE_M)
+    return _count(np.ascontiguousarray(boxes), _are_ground(points, height_m, grid), grid)
+
+
+@njit("boolean[::1](float32[:,::1], float32[::1], float64[::1])", cache=True, nogil=True)
+def _are_ground(points: Floats32, height_m: Floats32, grid: Floats) -> Bools:
+    """Marks the squares of a grid with points (P, 3), all of them near the road's height."""
+    square = squares_of(points, grid)
+    is_seen = np.zeros(int(grid[3] * grid[4]), np.bool_)
+    stands = np.zeros_like(is_seen)
+    for index in range(points.shape[0]):
+        is_seen[square[index]] = True
+        stands[square[index]] |= not abs(height_m[index]) < LEVEL_M
+    return is_seen & ~stands
+
+
+@njit("int64[::1](float64[:,::1], boolean[::1], float64[::1])", cache=True, nogil=True)
+def _count(boxes: Floats, are_ground: Bools, grid: Floats) -> Ints:
+    """Counts the squares that are ground, with their middles in and around each box."""
+    counts = np.zeros(boxes.shape[0], np.int64)
+    side_m, columns, rows = 1 / grid[2], int(grid[3]), int(grid[4])
+    for box in range(boxes.shape[0]):
+        half_m, half_width_m = boxes[box, 3] / 2 + AROUND_M, boxes[box, 4] / 2 + AROUND_M
+        cos, sin, reach_m = np.cos(boxes[box, 6]), np.sin(boxes[box, 6]), half_m + half_width_m
+        x_m, y_m = boxes[box, 0] - grid[0], boxes[box, 1] - grid[1]
+        first, end = max(int((x_m - reach_m) / side_m), 0), int((x_m + reach_m) / side_m) + 1
+        low, high = max(int((y_m - reach_m) / side_m), 0), int((y_m + reach_m) / side_m) + 1
+        for row in range(low, min(high, rows)):
+            for column in range(first, min(end, columns)):
+                x, y = (column + 0.5) * side_m - x_m, (row + 0.5) * side_m - y_m
+                is_near = abs(cos * x + sin * y) < half_m and abs(cos * y - sin * x) < half_width_m
+                counts[box] += is_near and are_ground[row * columns + column]
+    return counts
