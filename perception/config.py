@@ -125,8 +125,9 @@ class DetectionConfig(Section):
         False,
         description="ours: boxes that a sensor looks through, or over whose roof a column goes on, "
         "are no vehicles, as for PointPillars always; nor are those of which less than five points "
-        "or a 13th of a sensor's rays towards them are seen, or that rays go deep into. Without a "
-        "road map, where hedges and walls stand on the road, it is true",
+        "or a 13th of a sensor's rays towards them are seen, or that rays go deep into; and "
+        "PointPillars looks for vehicles on lower ground where that is hidden. Without a road map, "
+        "where hedges and walls stand on the road, it is true",
     )
     boxes: BoxConfig = Field(
         BoxConfig(), description="size filter of `reference`, completion of `fast`"

@@ -22,7 +22,7 @@ LEAVES = (0.07, 0.5), (0.055, 0.6)
 """Standard deviation off the plane in m, and its share of that along the plane, the lesser one."""
 HEDGE = ((0.045, 0.3),)  # of what is as high as its box at both ends
 END_M, END_HEIGHT = 0.8, 0.85  # of an end, and of the box's height
-LOW_M, OWN_M = 0.4, 0.2  # over a box's foot, where its points begin; around it, where they end
+LOW_M, OWN_M = 0.4, 0.2  # over the road, where a box's points begin; around it, where they end
 
 
 def are_leafy(boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints) -> Bools:
@@ -38,8 +38,8 @@ def are_leafy(boxes: Floats, points: Floats32, height_m: Floats32, sizes: Ints) 
     result = np.zeros((len(boxes), 4))
     _measure(np.ascontiguousarray(boxes), points, height_m, starts, result)
     thick_m, share, rear_m, front_m = result.T
-    least_m = boxes[:, 2] + (END_HEIGHT - 0.5) * boxes[:, 5]
-    is_block = np.minimum(rear_m, front_m) >= least_m
+    top_m = boxes[:, 2] + boxes[:, 5] / 2
+    is_block = np.minimum(rear_m, front_m) >= END_HEIGHT * top_m
     is_leafy = _reach(thick_m, share, LEAVES) | (is_block & _reach(thick_m, share, HEDGE))
     return np.asarray(is_leafy)
 
@@ -54,14 +54,13 @@ def _reach(thick_m: Floats, share: Floats, least: Sequence[tuple[float, float]])
       nogil=True)  # fmt: skip
 def _own(box: Floats, points: Floats32, height_m: Floats32, first: int, end: int, own: Ints) -> int:
     """Lists a part's points in a box; returns how many there are."""
-    cos, sin = np.cos(box[6]), np.sin(box[6])
-    low_m, top_m = box[2] - box[5] / 2 + LOW_M, box[2] + box[5] / 2 + OWN_M
+    cos, sin, top_m = np.cos(box[6]), np.sin(box[6]), box[2] + box[5] / 2 + OWN_M
     count = 0
     for index in range(first, end):
         x, y = points[index, 0] - box[0], points[index, 1] - box[1]
         along, across = abs(cos * x + sin * y), abs(cos * y - sin * x)
         is_in = along <= box[3] / 2 + OWN_M and across <= box[4] / 2 + OWN_M
-        if is_in and low_m < height_m[index] <= top_m:
+        if is_in and LOW_M < height_m[index] <= top_m:
             own[count] = index
             count += 1
     return count

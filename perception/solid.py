@@ -56,27 +56,31 @@ def solid_of(
     roadway: Roadway,
     *,
     unmapped: bool = False,
-    foot_m: Floats | None = None,
+    lower_m: float = 0.0,
 ) -> Vehicles:
     """Returns those vehicles of a cloud, map frame, whose boxes may be vehicles.
 
-    Boxes are taken to stand on the ground, or with their `foot_m` (N,) over it. Where roads are
-    `unmapped`, so that hedges and houses stand on what is taken for them, those hardly seen, open
-    ones and leaves are left out too.
+    Boxes are taken to stand on the ground, `lower_m` below the road. Where roads are `unmapped`, so
+    that hedges and houses stand on what is taken for them, those hardly seen, open ones and leaves
+    are left out too.
     """
     parts = [*cloud.near, *cloud.bare]
     points, road_m = merge(parts)
     boxes, sensors = found.boxes.copy(), cloud.sensors.astype(np.float64)
-    boxes[:, 2] = boxes[:, 5] / 2 + (0.0 if foot_m is None else foot_m)
-    sensors[:, 2] -= roadway.height_at(sensors)
+    boxes[:, 2] = boxes[:, 5] / 2
+    sensors[:, 2] -= roadway.height_at(sensors) - lower_m
     sizes = np.array([len(part.points) for part in parts], np.int64)
-    height_m = points[:, 2] - road_m
+    over_road_m = points[:, 2] - road_m
+    height_m = over_road_m + np.float32(lower_m)
     observed = observations_of(boxes, points, height_m, sizes, sensors)
     kept = are_solid(found.classes, observed)
     if unmapped:
         kept &= are_seen(observed) & ~are_open(found.classes, observed)
         asked = np.flatnonzero(kept & (found.classes <= ObjectClass.TRUCK))
-        kept[asked] = ~are_leafy(boxes[asked], points, height_m, sizes)
+        for given_m in (
+            (height_m, over_road_m) if lower_m else (height_m,)
+        ):  # a hedge is one on both
+            kept[asked] &= ~are_leafy(boxes[asked], points, given_m, sizes)
     return found.take(kept)
 
 
@@ -218,7 +222,7 @@ def _crossing(
 
 
 @njit(
-    "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3), float64)",
+    "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3))",
     cache=True,
     nogil=True,
 )
@@ -226,9 +230,8 @@ def _is_through(
     eye: tuple[float, float, float],
     point: tuple[float, float, float],
     core: tuple[float, float, float],
-    low_m: float,
 ) -> bool:
-    """Whether the ray from eye to point goes through a core, all below its top and above `low_m`.
+    """Whether the ray from eye to point goes through a core, all below its top and over the ground.
 
     See `_crossing`.
     """
@@ -237,11 +240,11 @@ def _is_through(
         return False
     rise = point[2] - eye[2]
     first, last = eye[2] + enter * rise, eye[2] + leave * rise
-    return bool(min(first, last) > low_m and max(first, last) < core[2])
+    return bool(min(first, last) > LOW_M and max(first, last) < core[2])
 
 
 @njit(
-    "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3), float64)",
+    "boolean(UniTuple(float64, 3), UniTuple(float64, 3), UniTuple(float64, 3))",
     cache=True,
     nogil=True,
 )
@@ -249,7 +252,6 @@ def _is_towards(
     eye: tuple[float, float, float],
     point: tuple[float, float, float],
     box: tuple[float, float, float],
-    low_m: float,
 ) -> bool:
     """Whether a ray leads to the side of a box that faces it, however far it came; see `_crossing`.
 
@@ -258,7 +260,7 @@ def _is_towards(
     enter, leave = _crossing(eye, point, box)
     if enter >= leave or enter <= 0.0:
         return False
-    return bool(low_m < eye[2] + enter * (point[2] - eye[2]) < box[2])
+    return bool(LOW_M < eye[2] + enter * (point[2] - eye[2]) < box[2])
 
 
 @njit(
@@ -299,9 +301,7 @@ def _count(
     order, starts = _by_direction(points, eye)
     for box in range(boxes.shape[0]):
         length, width = boxes[box, 3], boxes[box, 4]
-        foot_m, top_m = boxes[box, 2] - boxes[box, 5] / 2, boxes[box, 2] + boxes[box, 5] / 2
-        low_m, windows_m = foot_m + LOW_M, foot_m + WINDOWS * boxes[box, 5]
-        upper_m = foot_m + UPPER * boxes[box, 5]
+        top_m = boxes[box, 2] + boxes[box, 5] / 2
         cos, sin = np.cos(boxes[box, 6]), np.sin(boxes[box, 6])
         off_x, off_y = boxes[box, 0] - eye[0], boxes[box, 1] - eye[1]
         reach_m, away_m = (
@@ -322,19 +322,19 @@ def _count(
                 x, y = points[index, 0] - boxes[box, 0], points[index, 1] - boxes[box, 1]
                 u, v = cos * x + sin * y, cos * y - sin * x
                 at_m = (u, v, high_m)
-                if upper_m < high_m <= top_m + OWN_M and abs(v) <= width / 2 + BESIDE_M:
+                if UPPER * top_m < high_m <= top_m + OWN_M and abs(v) <= width / 2 + BESIDE_M:
                     along = (u + length / 2 + BEYOND_M) / STEP_M
                     if 0 <= along < is_upper.shape[1]:
                         is_upper[box, int(along)] = True
                 if abs(u) <= length / 2 + OWN_M and abs(v) <= width / 2 + OWN_M:
                     over_m = high_m - top_m
-                    result[box, 0] += high_m > low_m and over_m <= OWN_M
+                    result[box, 0] += high_m > LOW_M and over_m <= OWN_M
                     result[box, 2] += AIR_M[0] < over_m <= AIR_M[1]
                     result[box, 3] += over_m > HIGHER_M
-                    if low_m < high_m < windows_m:
+                    if LOW_M < high_m < WINDOWS * top_m:
                         result[box, 5] += 1
                         result[box, 6] += _is_deep(seen_from, at_m, sides)
                     continue
-                core = (CORE / 2 * length, CORE / 2 * width, windows_m)
-                result[box, 1] += _is_through(seen_from, at_m, core, low_m)
-                result[box, 4] += _is_towards(seen_from, at_m, sides, low_m)
+                core = (CORE / 2 * length, CORE / 2 * width, WINDOWS * top_m)
+                result[box, 1] += _is_through(seen_from, at_m, core)
+                result[box, 4] += _is_towards(seen_from, at_m, sides)

@@ -22,7 +22,7 @@ from perception.config import PillarsDetection
 from perception.detector import Cloud, Stage, Vehicles, untimed
 from perception.map_height import TRUSTED_M
 from perception.pillars.config import STRIDE
-from perception.pillars.hidden_ground import LOWER_M, with_lower
+from perception.pillars.hidden_ground import LOWER_M, STANDS, with_lower
 from perception.pillars.network import BOX_TERMS, PointPillars, boxes_of, middle_of
 from perception.pillars.seen_side import behind_their_points
 from perception.pillars.weights import network_of
@@ -223,34 +223,35 @@ class PillarsDetector:
     def detect(self, cloud: Cloud, rng: np.random.Generator, stage: Stage = untimed) -> Vehicles:  # noqa: ARG002 - nothing is drawn
         """See `perception.detector.Detector.detect`."""
         with stage("detect"):
-            found = self._found(cloud, 0.0)
             if not self._unmapped:
-                return found
-            return with_lower(found, self._found(cloud, LOWER_M), *cloud.points_over_road())
+                return self._found(cloud, self._config.min_score)
+            least = STANDS * self._config.min_score
+            on_road, lower = (self._found(cloud, least, lower_m) for lower_m in (0.0, LOWER_M))
+            found = with_lower(on_road, lower, *cloud.points_over_road())
+            found = found.take(found.scores >= self._config.min_score)
+            return found.take(suppress(found.boxes, found.scores, iou=self._config.same_iou))
 
-    def _found(self, cloud: Cloud, lower_m: float) -> Vehicles:
-        """Returns the vehicles on ground that lies so much lower than the road."""
+    def _found(self, cloud: Cloud, least: float, lower_m: float = 0.0) -> Vehicles:
+        """Returns the vehicles of this score or a better one on ground so far below the road."""
         parts = [*cloud.near, *cloud.bare]
         points, road_m = merge(parts)
-        height_m = points[:, 2] - road_m
+        height_m = points[:, 2] - road_m + np.float32(lower_m)
         windows = cover(
             np.concatenate([np.zeros((0, 3), np.float32), *(part.lowest for part in parts)]),
             self._engine.config.cell_m,
         )
-        boxes, scores, classes = self._ask(points, height_m + np.float32(lower_m), windows)
+        boxes, scores, classes = self._ask(points, height_m, windows, least)
         kept = suppress(boxes, scores, iou=self._config.same_iou)
         boxes, scores, classes = boxes[kept], scores[kept], classes[kept]
         sizes = np.array([len(part.points) for part in parts], np.int64)
         boxes = behind_their_points(boxes, points, height_m, sizes, cloud.sensors)
-        boxes[:, 2] -= lower_m
-        foot_m = boxes[:, 2] - boxes[:, 5] / 2 if self._unmapped else None
-        boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway)
+        boxes[:, 2] += _ground_at(boxes, points, road_m, self._roadway) - lower_m
         boxes[:, 6] = _headed(boxes[:, 6], self._roadway.yaw_at(boxes))
         found = Vehicles.from_lidar(boxes, scores, classes)
-        return solid_of(found, cloud, self._roadway, unmapped=self._unmapped, foot_m=foot_m)
+        return solid_of(found, cloud, self._roadway, unmapped=self._unmapped, lower_m=lower_m)
 
     def _ask(
-        self, points: Floats32, height_m: Floats32, windows: list[Window]
+        self, points: Floats32, height_m: Floats32, windows: list[Window], least: float
     ) -> tuple[Floats, Floats, Bytes]:
         boxes, scores, classes = [np.zeros((0, 7))], [np.zeros(0)], [np.zeros(0, np.uint8)]
         if windows:
@@ -260,9 +261,7 @@ class PillarsDetector:
             standing = np.divmod(cells, around.columns)
             for part in _alike(windows):
                 seen = [_pillars_in(*standing, around, window, shape.cell_m) for window in part]
-                found, score, kinds, number = self._engine.ask(
-                    known, part, seen, min_score=self._config.min_score
-                )
+                found, score, kinds, number = self._engine.ask(known, part, seen, min_score=least)
                 well = _well_inside(found, [part[n] for n in number], shape.cell_m)
                 boxes.append(found[well])
                 scores.append(score[well])

@@ -13,42 +13,47 @@ from dataclasses import replace
 import numpy as np
 from numba import njit
 
-from perception.arrays import Bools, Floats, Floats32, Ints
+from perception.arrays import Bools, Bytes, Floats, Floats32, Ints
 from perception.boxes import overlaps
 from perception.detector import Vehicles
 from perception.votes import span, squares, squares_of
+from protocol.messages import ObjectClass
 
 LOWER_M = 0.5
 WEIGHT = 0.95  # of scores on lower ground, for it is seldom
-SQUARE_M, LEVEL_M = 1.0, 0.15  # of which all points lie so near the road: ground is seen
+SQUARE_M, LEVEL_M = 1.0, 0.15  # whose points all lie so near the road's height: ground is seen
 AROUND_M, MOST_SEEN = 2.0, 4  # of a box: more such squares, and vehicles stand on that ground
-SAME_IOU, SAME_M = 0.1, 1.0  # boxes from above, or their middles: one vehicle
-STANDS = 0.5  # of the score on lower ground: the box on the road is taken
+SAME_IOU = 0.3  # from above, of boxes on the road and on lower ground: one vehicle
+STANDS = 0.5  # of the score on lower ground, from which on the box on the road is taken
 
 
 def with_lower(found: Vehicles, lower: Vehicles, points: Floats32, height_m: Floats32) -> Vehicles:
     """Adds vehicles on lower ground to those on the road, where that is hidden.
 
     Of a vehicle found on both, the box on the road is taken unless its score is much lower, with
-    the better score. Points (P, 3), map frame, lie at heights over the road (P,).
+    the better score. Both are to hold boxes of scores down to `STANDS` of the least that counts.
+    Boxes that overlap less are left. Points (P, 3), map frame, lie at heights over the road (P,).
     """
     hidden = ground_squares(lower.boxes, points, height_m) <= MOST_SEEN
     lower = lower.take(hidden)
     lower = replace(lower, scores=WEIGHT * lower.scores)
     bev, _ = overlaps(found.boxes, lower.boxes)
-    apart_m = np.hypot(*(found.boxes[:, None, :2] - lower.boxes[None, :, :2]).transpose(2, 0, 1))
-    same = (bev > SAME_IOU) | (apart_m < SAME_M)
-    rivals = np.where(same, found.scores[:, None], 0.0)
-    stands = rivals.max(axis=0, initial=0.0) >= STANDS * lower.scores
+    same = (bev > SAME_IOU) & (_groups(found)[:, None] == _groups(lower))
+    rivals = np.where(same, found.scores[:, None], -1.0)
+    on_road = rivals.max(axis=0, initial=-1.0) >= STANDS * lower.scores
     scores = found.scores.copy()
-    if stands.any():
-        np.maximum.at(scores, rivals.argmax(axis=0)[stands], lower.scores[stands])
-    standing = replace(found, scores=scores).take(~same[:, ~stands].any(axis=1))
-    return standing + lower.take(~stands)
+    if on_road.any():
+        np.maximum.at(scores, rivals.argmax(axis=0)[on_road], lower.scores[on_road])
+    return replace(found, scores=scores) + lower.take(~on_road)
+
+
+def _groups(vehicles: Vehicles) -> Bytes:
+    """Returns their classes (N,), cars and lorries as one: which of them is often unclear."""
+    return np.where(vehicles.classes == ObjectClass.TRUCK, ObjectClass.CAR, vehicles.classes)
 
 
 def ground_squares(boxes: Floats, points: Floats32, height_m: Floats32) -> Ints:
-    """Counts the squares in and around boxes (N, 7) in which nothing but ground is seen (N,)."""
+    """Counts the squares in and around boxes (N, 7) in which ground is seen and nothing else."""
     if not len(points):
         return np.zeros(len(boxes), np.int64)
     grid = squares(span(points), SQUARE_M)

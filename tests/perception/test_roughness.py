@@ -54,13 +54,6 @@ def test_bushes_and_trimmed_hedges_are_told_from_cars_and_vans(seed: int) -> Non
     assert leafy(side(seed, 0.1, bonnet)) == [False], "a car that moved while it was scanned"
 
 
-def test_a_box_lower_than_the_road_is_judged_alike() -> None:
-    lower = np.float32([0, 0, -0.7])
-    for points, expected in ((bush(2), True), (side(2, 0.15), True), (side(2, NOISE_M), False)):
-        box = BOX + np.float32([0, 0, -0.7, 0, 0, 0, 0])
-        assert leafy(points + lower, boxes=box) == [expected]
-
-
 def test_each_scan_is_judged_by_itself() -> None:
     one = side(1, NOISE_M)
     off = one + np.float32([0.4, -0.3, 0.0])

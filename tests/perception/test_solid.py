@@ -139,17 +139,6 @@ def test_counts_turn_with_the_scene_and_add_up_over_parts(turn, seed):
     assert np.abs(whole - again).max() <= 1  # of points on an edge, by rounding
 
 
-@given(st.floats(-0.4, 2), st.integers(0, 2**32 - 1))
-def test_a_box_may_stand_lower_or_higher_than_the_road(lift_m, seed):
-    rng = np.random.default_rng(seed)
-    points = rng.uniform([-20, -20, 0], [20, 20, 4], (400, 3))
-    boxes, lift = np.array([*LORRY, *CAR]), np.array([0, 0, lift_m])
-    level = observed(boxes, points)
-    lifted = observed(boxes + np.pad(lift, (0, 4)), points + lift, eyes=EYE + lift)
-    assert np.abs(level.counts - lifted.counts).max() <= 1  # of points on an edge, by rounding
-    assert np.abs(level.deep - lifted.deep).max() <= 1
-
-
 def _cloud(points):
     return points.astype(np.float32), points[:, 2].astype(np.float32)
 

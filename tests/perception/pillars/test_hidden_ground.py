@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -59,9 +60,17 @@ def test_of_a_vehicle_found_twice_the_box_on_the_road_is_taken_with_the_better_s
     assert found.scores.tolist() == pytest.approx([WEIGHT * 0.5, 0.1])
 
 
-def test_a_box_on_the_road_that_hardly_counts_gives_way() -> None:
+def test_a_box_on_the_road_that_hardly_counts_does_not_replace_one_below() -> None:
     found = with_lower(cars((0, 0.75, 0.1)), cars((0.3, 0.25, 0.5)), *NOWHERE)
-    assert found.boxes[:, [0, 2]].tolist() == [[0.3, 0.25]]
+    assert found.boxes[:, [0, 2]].tolist() == [[0, 0.75], [0.3, 0.25]]
+    assert found.scores.tolist() == pytest.approx([0.1, WEIGHT * 0.5])
+
+
+def test_a_car_is_not_taken_for_a_person_on_the_road_but_for_a_lorry() -> None:
+    lower = cars((0.3, 0.25, 0.8))
+    for kind, boxes in ((ObjectClass.PEDESTRIAN, 2), (ObjectClass.TRUCK, 1)):
+        road = replace(cars((0, 0.75, 0.5)), classes=np.array([kind], np.uint8))
+        assert len(with_lower(road, lower, *NOWHERE)) == boxes
 
 
 def test_of_two_boxes_on_the_road_the_better_one_alone_is_raised() -> None:
@@ -90,9 +99,13 @@ def test_a_row_of_cars_behind_a_hedge_is_found_on_level_and_on_lower_ground(
     ]
     (tmp_path / "label_2" / "row.txt").write_text("\n".join(labels) + "\n")
     (frame,) = kitti_frames(tmp_path)
-    hits = hits_of(judge(frame, ["pointpillars"], EdgeConfig(), 50.0)["pointpillars"], 50.0)
+    judged = judge(frame, ["pointpillars"], EdgeConfig(), 50.0)["pointpillars"]
+    hits = hits_of(judged, 50.0)
     assert hits.vehicles == len(row)
     assert hits.found == hits.right == hits.boxes == len(row)
+    boxes = judged.found.boxes[judged.certain]
+    foot_m = boxes[:, 2] - boxes[:, 5] / 2 + 1.8
+    assert (foot_m < -lower_m - 0.3).sum() <= 1  # in the ground, which is hidden
 
 
 def _behind_a_hedge(row: list[tuple[float, float, float]], lower_m: float) -> np.ndarray:
