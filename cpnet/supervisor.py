@@ -61,7 +61,8 @@ _log = logging.getLogger(__name__)
 
 WORLD_GRACE_S = 1.0  # for the world to publish its end and the recorder to write it
 STOPPED_NS = 5_000_000_000  # a process stopped for longer counts as failed
-GRACE_S = 2.0  # then for all others, until SIGKILL: both within the 5 s that users wait
+GRACE_S = 2.0  # then for all others, until SIGKILL
+LAST_GRACE_S = 1.5  # then for a recorder that still writes: all within the 5 s that users wait
 WRITERS = ("record", "mcap")
 LIST_NAME = "processes.json"
 FORK_SERVER = "fork-server"
@@ -270,9 +271,13 @@ class Supervisor:
             writers = [c for c in self._children if c.entry.role.role in WRITERS]
             _await(writers, WORLD_GRACE_S)
         _interrupt(self._children)
-        killed = _await(self._children, GRACE_S)
-        for child in killed:
-            child.process.send_signal(signal.SIGKILL)
+        late = _await(self._children, GRACE_S)
+        writing = [child for child in late if child.entry.role.role in WRITERS]
+        killed = [child for child in late if child not in writing]
+        _kill(killed)
+        cut = _await(writing, LAST_GRACE_S)
+        _kill(cut)
+        killed += cut
         for child in self._children:
             child.process.wait()
             child.process.release()
@@ -305,6 +310,11 @@ class Supervisor:
 def _interrupt(children: list[SupervisedProcess]) -> None:
     for child in children:
         child.process.send_signal(signal.SIGINT)
+
+
+def _kill(children: list[SupervisedProcess]) -> None:
+    for child in children:
+        child.process.send_signal(signal.SIGKILL)
 
 
 def _await(children: list[SupervisedProcess], grace_s: float) -> list[SupervisedProcess]:

@@ -3,6 +3,7 @@ import json
 import os
 import shutil
 import signal
+from dataclasses import replace
 from multiprocessing import forkserver
 from pathlib import Path
 
@@ -116,6 +117,35 @@ def test_a_process_that_stops_when_asked_is_not_killed(supervisor, tmp_path):
     supervisor.start([entry(tmp_path, "polite", SLEEPER.format(ignore=heed))])
     wait_for(tmp_path / "logs" / "polite.log", "ready")
     assert supervisor.stop() == []
+
+
+LOCKED = """
+import fcntl, signal, sys, time
+def main():
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    file = open({path!r}, "a")
+    print("ready", file=sys.stderr, flush=True)
+    fcntl.flock(file, fcntl.LOCK_EX)
+    print("mine", file=sys.stderr, flush=True)
+    time.sleep({hold_s})
+main()
+"""
+
+
+def test_a_recorder_may_write_on_when_others_that_would_not_stop_are_killed(
+    supervisor, tmp_path, monkeypatch
+):
+    """It ends once the other is gone, which holds a lock."""
+    monkeypatch.setattr("cpnet.supervisor.GRACE_S", 0.2)
+    monkeypatch.setattr("cpnet.supervisor.LAST_GRACE_S", 30.0)
+    path = str(tmp_path / "lock")
+    supervisor.start([entry(tmp_path, "stubborn", LOCKED.format(path=path, hold_s=60))])
+    wait_for(tmp_path / "logs" / "stubborn.log", "mine")
+    recorder = entry(tmp_path, "recorder", LOCKED.format(path=path, hold_s=0))
+    supervisor.start([replace(recorder, role=RoleEntry("mcap", "recorder"))])
+    wait_for(tmp_path / "logs" / "recorder.log", "ready")
+    assert supervisor.stop() == ["stubborn"]
+    assert "mine" in (tmp_path / "logs" / "recorder.log").read_text()
 
 
 def kill_fork_server() -> None:
