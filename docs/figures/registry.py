@@ -247,7 +247,7 @@ _LIST = (
             "tests/kernel_path.py",
             "tests/link_relay/lossy_bench.py",
         ),
-        21,
+        24,
         (Part("tcp", "docs/uplink.md", links.lossy),),
     ),
     Figure(

@@ -51,7 +51,7 @@ CASES = (
     LossyCase("10mbit,20ms,1%", 33_000, 0.1, 600, seeds=12),
     LossyCase("20mbit,50ms,0.5%x3", 33_000, 0.1, 600, seeds=48),
     LossyCase("5mbit,20ms,1%", 7_000, 0.1, 600),
-    LossyCase("5mbit,20ms,2%x2", 7_000, 0.1, 600, seeds=24),
+    LossyCase("5mbit,20ms,2%x2", 7_000, 0.1, 600, seeds=48),
     LossyCase("3mbit,100ms,1%", 7_000, 0.2, 300),
     LossyCase("10mbit,20ms,1%", 100_000, 1.0, 60),
 )
