@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 
 from protocol.traffic import HEADER_BYTES, SEGMENT_BYTES
+from tests.waiting import TIMEOUT_S
 
 MTU = SEGMENT_BYTES + HEADER_BYTES
 FRAME_BYTES = MTU + 14  # tbf counts the header of Ethernet, a profile's rate does not
@@ -90,10 +91,25 @@ def connection_from(
         server.settimeout(10)
         sender.settimeout(10)
         sender.connect(server.getsockname())
-        sender.settimeout(None)
         receiver, _ = server.accept()
         with receiver:
+            for end in (sender, receiver):
+                end.settimeout(TIMEOUT_S)  # a path that is gone tells neither end
             yield sender, receiver
+
+
+def receive_whole(receiver: socket.socket, size_bytes: int) -> None:
+    """Waits until a message of this size has come whole.
+
+    Raises:
+        OSError: it cannot come any more, or did not for long.
+    """
+    left_bytes = size_bytes
+    while left_bytes:
+        came_bytes = len(receiver.recv(left_bytes))
+        if not came_bytes:
+            raise ConnectionError(f"{left_bytes} of {size_bytes} bytes did not come")
+        left_bytes -= came_bytes
 
 
 def _socket_in(namespace: str) -> socket.socket:

@@ -13,7 +13,7 @@ from link_relay.shaper import SLACK_NS, Shaper
 from protocol.traffic import on_air_bytes
 from sensing.link_channel import Channel, VirtualLink
 from sensing.link_profile import LinkProfile
-from tests.kernel_links import shaped_connection
+from tests.kernel_links import receive_whole, shaped_connection
 from tests.link_relay.sink import Rig, rigs
 from tests.waiting import TIMEOUT_S
 
@@ -139,6 +139,6 @@ def test_the_relay_takes_as_long_as_a_link_that_the_kernel_shapes(make):
             relayed_ms.append((rig.sink.arrival_ns(number * size) - begin_ns) / 1e6)
             begin_ns = time.monotonic_ns()
             sender.sendall(bytes(size))
-            assert len(receiver.recv(size, socket.MSG_WAITALL)) == size
+            receive_whole(receiver, size)
             kernel_ms.append((time.monotonic_ns() - begin_ns) / 1e6)
     assert median(relayed_ms) == pytest.approx(median(kernel_ms), rel=0.1)
