@@ -31,6 +31,7 @@ _HERE = "127.0.0.1"
 _DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 _PATIENCE_S = 20.0
 _FLUSH_S = 5.0
+_STOP_S = 5.0
 _SAVE_S = 60.0
 _LEAST_FREE_BYTES = 1 << 20
 
@@ -147,8 +148,7 @@ def _page(port: int) -> Iterator[tuple[str, str, subprocess.Popen[bytes]]]:
         url = _url(data)
         yield url, f"http://{_HERE}:{port}/?url={quote(url, safe='')}", server
     finally:
-        server.terminate()
-        server.wait()
+        _stop(server)
 
 
 def _url(port: int) -> str:
@@ -165,10 +165,18 @@ def _started(options: list[str], ports: list[int]) -> subprocess.Popen[bytes]:
             for port in ports:
                 _await(server, port, said)
         except BaseException:  # an interruption as well
-            server.terminate()
-            server.wait()
+            _stop(server)
             raise
     return server
+
+
+def _stop(server: subprocess.Popen[bytes]) -> None:
+    server.terminate()
+    try:
+        server.wait(_STOP_S)
+    except subprocess.TimeoutExpired:
+        server.kill()
+        server.wait()
 
 
 def _await(server: subprocess.Popen[bytes], port: int, said: IO[bytes]) -> None:

@@ -1,6 +1,7 @@
 """Drawings kept in a file: complete, or an error is raised."""
 
 import shutil
+import signal
 from collections import namedtuple
 
 import pytest
@@ -9,6 +10,7 @@ rr = pytest.importorskip("rerun", reason="the extra `view` is not installed")
 
 from protocol.errors import ConfigError, CpnetError  # noqa: E402 - of use with the extra alone
 from tests.viewer.shown import SETUP  # noqa: E402
+from viewer import sinks  # noqa: E402
 from viewer.scene import Scene  # noqa: E402
 from viewer.sinks import free_port, opened  # noqa: E402
 
@@ -36,6 +38,13 @@ def test_a_page_is_served_until_the_end():
     with opened(free_port(), None, SCENE) as sink:
         assert sink.server.poll() is None
     assert sink.server.poll() is not None
+
+
+def test_a_server_that_does_not_end_when_it_is_asked_to_is_killed(monkeypatch):
+    monkeypatch.setattr(sinks, "_STOP_S", 0.1)
+    with opened(free_port(), None, SCENE) as sink:
+        monkeypatch.setattr(sink.server, "terminate", lambda: None)
+    assert sink.server.returncode == -signal.SIGKILL
 
 
 def test_a_name_that_is_too_long_is_refused(tmp_path):
