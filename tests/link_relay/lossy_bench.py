@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass, fields
 
 import numpy as np
 import numpy.typing as npt
@@ -25,11 +25,13 @@ import numpy.typing as npt
 from sensing.link_channel import Channel
 from sensing.link_config import profile_named
 from sensing.lossy_link import link_over
+from tests.kernel_links import receive_whole
 from tests.kernel_path import KernelPath, lossy_connection
 from tests.link_relay.sink import Rig
 
 _PACKETS = 60_000  # whose losses are given: more than a path sends
 _RESAMPLES = 1000
+_RESTRICTED_MS = 1000.0
 
 Ints = npt.NDArray[np.int64]
 
@@ -59,15 +61,18 @@ CASES = (
 
 @dataclass(frozen=True, slots=True)
 class Delays:
-    """Mean and 95th percentile, in ms."""
+    """Mean, restricted mean (of delays that count as one second at most) and 95th percentile."""
 
     mean_ms: float
+    restricted_ms: float
     p95_ms: float
 
     @classmethod
     def of(cls, delays_ns: list[int] | Ints) -> Delays:
         """Summarises single delays."""
-        return cls(float(np.mean(delays_ns)) / 1e6, float(np.percentile(delays_ns, 95)) / 1e6)
+        delays_ms = np.asarray(delays_ns) / 1e6
+        restricted = float(np.minimum(delays_ms, _RESTRICTED_MS).mean())
+        return cls(float(delays_ms.mean()), restricted, float(np.percentile(delays_ms, 95)))
 
 
 def _channel(case: LossyCase, seed: int) -> Channel:
@@ -122,9 +127,7 @@ def _send(case: LossyCase, send: Callable[[bytes], object]) -> list[int]:
 def _arrivals(receiver: socket.socket, case: LossyCase) -> list[int]:
     arrived_ns = []
     for _ in range(case.messages):
-        left = case.size_bytes
-        while left:
-            left -= len(receiver.recv(left))
+        receive_whole(receiver, case.size_bytes)
         arrived_ns.append(time.monotonic_ns())
     return arrived_ns
 
@@ -143,9 +146,7 @@ def measured_delays(case: LossyCase, seed: int) -> dict[str, list[int]]:
 def row(case: LossyCase, of_seeds: list[dict[str, list[int]]]) -> dict[str, object]:
     """Returns the case beside the delays of its seeds together, by form, and ratios to kernel's."""
     every = {name: np.array([one[name] for one in of_seeds]) for name in FORMS}
-    of_kernel = {
-        name: asdict(ratios(every[name], every["kernel"])) for name in FORMS if name != "kernel"
-    }
+    of_kernel = {name: ratios(every[name], every["kernel"]) for name in FORMS if name != "kernel"}
     return {
         **asdict(case),
         **{name: asdict(Delays.of(one)) for name, one in every.items()},
@@ -153,23 +154,21 @@ def row(case: LossyCase, of_seeds: list[dict[str, list[int]]]) -> dict[str, obje
     }
 
 
-@dataclass(frozen=True, slots=True)
-class Ratios:
-    """Of mean and 95th percentile to the kernel's: the ratio, and its 95 % interval."""
+def ratios(delays_ns: Ints, kernel_ns: Ints) -> dict[str, list[float]]:
+    """Compares delays (seeds, messages) with the kernel's of the same seeds.
 
-    mean: tuple[float, float, float]
-    p95: tuple[float, float, float]
-
-
-def ratios(delays_ns: Ints, kernel_ns: Ints) -> Ratios:
-    """Compares delays (seeds, messages) with the kernel's of the same seeds."""
+    Returns:
+        For each of `Delays` its ratio to the kernel's, and the ends of the 95 % interval.
+    """
     seeds, rng = len(delays_ns), np.random.default_rng(1)
     drawn = [np.arange(seeds), *rng.integers(seeds, size=(_RESAMPLES, seeds))]
-    pairs = [(Delays.of(delays_ns[some]), Delays.of(kernel_ns[some])) for some in drawn]
-    mean = np.array([own.mean_ms / kernel.mean_ms for own, kernel in pairs])
-    p95 = np.array([own.p95_ms / kernel.p95_ms for own, kernel in pairs])
-    low, high = np.percentile([mean[1:], p95[1:]], [2.5, 97.5], axis=1).tolist()
-    return Ratios((float(mean[0]), low[0], high[0]), (float(p95[0]), low[1], high[1]))
+    found = [
+        np.divide(*(astuple(Delays.of(one[some])) for one in (delays_ns, kernel_ns)))
+        for some in drawn
+    ]
+    ends = np.percentile(found[1:], [2.5, 97.5], axis=0)
+    names = [field.name for field in fields(Delays)]
+    return dict(zip(names, np.vstack([found[0], ends]).T.tolist(), strict=True))
 
 
 def _in_realtime() -> None:
