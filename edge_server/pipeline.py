@@ -176,7 +176,7 @@ def stages_of(
         Detect(detector(config, roadway), seed),
         Fuse(fusion_of(config.fusion, region.centres), mounts),
         *([Border(strips, config.fusion)] if strips is not None else []),
-        Track(region.surroundings, roadway, config.tracking, strips),
+        Track(region.surroundings, config.tracking, strips),
         Count(region, lanes, config, has_lidars=has_lidars, strips=strips),
     ]
 

@@ -6,12 +6,10 @@ It also keeps what signals show, and which agents are no longer trusted.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from edge_server.border import BorderStrips
 from edge_server.frame import Chunk, FrameStage, FrameState
-from perception.arrays import Floats, Floats32
-from perception.roadway import Roadway
+from perception.arrays import Floats
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.sightlines import RING_M, RINGS, SightLines
@@ -66,12 +64,10 @@ class Track(FrameStage):
     def __init__(
         self,
         road_map: RoadMap,
-        roadway: Roadway,
         config: TrackingConfig,
         strips: BorderStrips | None = None,
     ) -> None:
         self._config = config
-        self._roadway = roadway
         self._strips = strips
         leads_on = any(lane.successors for lane in road_map.lanes)  # else it is an open ground
         self._lanes = LaneGraph.of(road_map) if leads_on else None
@@ -134,25 +130,7 @@ class Track(FrameStage):
             np.concatenate([part.placed.lowest for part in parts if part.placed is not None])
             for parts in chunks.values()
         ]
-        return SightLines.of(sensors, lowest, self._over_road_m(sensors, lowest))
-
-    def _over_road_m(self, sensors: Floats, lowest: list[np.ndarray]) -> Floats:
-        """Returns how high sensors are over the road that is nearest to each of them (P,)."""
-        nearest = np.zeros((len(sensors), 2))
-        for index, points in enumerate(lowest):
-            nearest[index] = points[_nearest(points, *sensors[index, :2]), :2]
-        return np.asarray(sensors[:, 2] - self._roadway.height_at(nearest))
-
-
-@njit("int64(float32[:,::1], float64, float64)", cache=True, nogil=True)
-def _nearest(points: Floats32, x_m: float, y_m: float) -> int:
-    """Returns which of some points (N, 3) is the nearest to a place, seen from above."""
-    nearest, least_m2 = 0, np.inf
-    for index in range(len(points)):
-        x, y = points[index, 0] - x_m, points[index, 1] - y_m
-        if x * x + y * y < least_m2:
-            nearest, least_m2 = index, x * x + y * y
-    return nearest
+        return SightLines.of(sensors, lowest)
 
 
 def _tracks(message: BorderObjects) -> Tracks:

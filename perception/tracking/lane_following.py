@@ -1,7 +1,7 @@
 """Prediction of unseen tracks along lanes: car following, and no passing of a red light.
 
 The mean follows the lane, and the speed what the vehicle ahead allows by the safe speed of Krauss
-(1998), as drivers do.
+(1998), as drivers do. Vehicles ahead and behind bound how far off the mean can be.
 """
 
 from __future__ import annotations
@@ -30,6 +30,8 @@ CRUISE_MPS2 = 0.5  # who changes speed more does not keep it ...
 FULL_SHARE = 0.9  # ... but for those that are so fast already
 CRUISE_STD_MPS = 1.0  # of a speed that is informative
 LANE_TURN_RAD = 0.1  # deviation from its heading
+GAP_STD_M, GAP_STD_S = 1.0, 0.25  # deviation of the gap of who follows, standing and by speed ...
+FOLLOWS_S = 1.5  # ... who has no longer gap, beside that of a standstill
 
 
 def cruise(
@@ -90,7 +92,7 @@ def _in_order(lane: Ints, along_m: Floats, solid: Bools, lanes: int) -> tuple[In
 
 
 @njit(
-    "Tuple((float64[::1], float64[::1], boolean[::1]))(float64[:,::1], float64[:,::1], int64[::1], "
+    "Tuple((float64[::1], int64[::1], boolean[::1]))(float64[:,::1], float64[:,::1], int64[::1], "
     "float64[::1], boolean[::1], float64[::1], int64[::1], int64[::1], float64[::1], uint8[::1])",
     cache=True,
 )
@@ -105,15 +107,15 @@ def _ahead(
     followers: Ints,
     trips: Floats,
     lights: Bytes,
-) -> tuple[Floats, Floats, Bools]:
-    """Returns the gap to what is next ahead of each on its lane (N,), its speed, and who may go.
+) -> tuple[Floats, Ints, Bools]:
+    """Returns the gap to what is next ahead of each on its lane (N,), who that is, and who may go.
 
     That is a solid track, or the bar of a light (E,) that does not show green, before which one can
     still stop. Those that approach a green light may go.
     """
     count = mean.shape[0]
     next_on, first_on = _in_order(lane, along_m, solid, length_m.shape[0])
-    gap_m, ahead_mps = np.full(count, np.inf), np.zeros(count)
+    gap_m, ahead = np.full(count, np.inf), np.full(count, -1)
     goes = np.zeros(count, np.bool_)
     for n in range(count):
         if lane[n] < 0:
@@ -135,8 +137,8 @@ def _ahead(
             between_m = (dims[n, 1] + dims[other, 1]) / 2
             gap = way_m + along_m[other] - between_m
             if gap < LOOK_AHEAD_M:
-                gap_m[n], ahead_mps[n] = max(gap, 0.0), max(mean[other, 3], 0.0)
-    return gap_m, ahead_mps, goes
+                gap_m[n], ahead[n] = max(gap, 0.0), other
+    return gap_m, ahead, goes
 
 
 @njit("void(float64[:,::1], float64, float64)", cache=True)
@@ -155,6 +157,49 @@ def _turn(p: Floats, turned: float, heading: float) -> None:
     shrunk[0, 1] = shrunk[1, 0] = -k * sin * cos
     shrunk[2, 2] = min(LANE_TURN_RAD / np.sqrt(max(p[2, 2], 1e-9)), 1.0)
     spread(shrunk, p)
+
+
+@njit("float64(float64[:,:], float64)", cache=True)
+def _along_m2(p: Floats, heading: float) -> float:
+    """Returns the variance of the position along a heading."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    return float(p[0, 0] * cos**2 + 2 * p[0, 1] * sin * cos + p[1, 1] * sin**2)
+
+
+@njit("void(float64[:,::1], float64[:,:,::1], boolean[::1], float64[::1], int64[::1])", cache=True)
+def _bound(mean: Floats, covariance: Floats, free: Bools, gap_m: Floats, ahead: Ints) -> None:
+    """Bounds the deviations along of tracks that others leave no room for.
+
+    Who follows a vehicle that is seen keeps the gap to it within limits, whatever that does; and
+    who has one before and one behind is between them. `gap_m` and `ahead` are of `_ahead`.
+    """
+    count = mean.shape[0]
+    behind = np.full(count, -1)
+    for n in range(count):
+        leader = ahead[n]
+        if leader >= 0 and (behind[leader] < 0 or gap_m[n] < gap_m[behind[leader]]):
+            behind[leader] = n
+    shrunk = np.eye(6)
+    for n in range(count):
+        leader, follower = ahead[n], behind[n]
+        if free[n] or leader < 0:
+            continue
+        heading, v = mean[n, 2], max(mean[n, 3], 0.0)
+        variance = _along_m2(covariance[n], heading)
+        before = _along_m2(covariance[leader], mean[leader, 2])
+        most = np.inf
+        if free[leader] and gap_m[n] < STANDSTILL_M + FOLLOWS_S * v:
+            most = before + (GAP_STD_M + GAP_STD_S * v) ** 2
+        if follower >= 0:
+            after = _along_m2(covariance[follower], mean[follower, 2])
+            room_m = gap_m[n] + gap_m[follower]
+            most = min(most, max(before, after) + room_m**2 / 12)
+        if variance > most:
+            k = np.sqrt(most / variance) - 1
+            cos, sin = np.cos(heading), np.sin(heading)
+            shrunk[0, 0], shrunk[1, 1] = 1 + k * cos * cos, 1 + k * sin * sin
+            shrunk[0, 1] = shrunk[1, 0] = k * sin * cos
+            spread(shrunk, covariance[n])
 
 
 _GRAPH = "float64[:,::1], int64[::1], float64[::1], float64[::1], int64[::1], int64[::1]"
@@ -199,7 +244,7 @@ def follow_lanes(
     while left_s > 1e-9:
         step_s = min(STEP_S, left_s)
         left_s -= step_s
-        gap_m, ahead_mps, goes = _ahead(
+        gap_m, ahead, goes = _ahead(
             mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
         )
         for n in range(count):
@@ -209,7 +254,8 @@ def follow_lanes(
             if not free[n]:
                 limit = speed_mps[lane[n]]
                 wish = max(v, limit) if np.isnan(cruise[n]) else cruise[n] * limit
-                v = _speed(v, wish, gap_m[n], ahead_mps[n], goes[n], step_s)
+                ahead_mps = max(mean[ahead[n], 3], 0.0) if ahead[n] >= 0 else 0.0
+                v = _speed(v, wish, gap_m[n], ahead_mps, goes[n], step_s)
                 mean[n, 3] = v
             along_m[n] += v * step_s
             while along_m[n] > length_m[lane[n]]:
@@ -238,3 +284,7 @@ def follow_lanes(
             stands = np.eye(6)
             stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
             spread(stands, covariance[n])
+    gap_m, ahead, goes = _ahead(
+        mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
+    )
+    _bound(mean, covariance, free, gap_m, ahead)

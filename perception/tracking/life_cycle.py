@@ -1,7 +1,7 @@
 """The life cycle of tracks: birth by a detection, and the probability that they still exist.
 
 A track's existence is the probability that its vehicle is there. With each detection it rises.
-Without one it falls: fast where a sensor sees through the place, slowly in a shadow.
+Without one it falls: fast where its place is in plain view of a sensor, slowly in a shadow.
 """
 
 from __future__ import annotations
@@ -141,9 +141,9 @@ def lower_existence(
     if visible is None:
         existence = existence * np.exp(-dt_s / config.blind_life_s)
     else:
-        empty = visible.empty(states.boxes[missed])
-        states.in_view[missed] = empty
-        lives_per_s = (1 - empty) / config.shadow_life_s + empty / config.empty_life_s
+        plain = visible.plain(states.boxes[missed])
+        states.in_view[missed] = plain
+        lives_per_s = (1 - plain) / config.shadow_life_s + plain / config.empty_life_s
         existence = existence * np.exp(-dt_s * lives_per_s)
     unsure = states.hits[missed] < config.confirm_hits
     existence = existence * np.where(unsure, np.exp(-dt_s / UNSURE_LIFE_S), 1.0)

@@ -35,6 +35,7 @@ CROSSWISE_RAD = 0.9  # a box that is turned by more is of two vehicles abreast: 
 CROSSWISE_STD_M = 2.0  # ... its track and says little of where that is ...
 CROSSWISE_M = 3.0  # ... if it is so long ...
 SURE_YAW_STD = 0.15  # ... and the track's heading is known so well
+BACKWARDS_MPS = 2.0  # nobody drives backwards faster: the heading is the reverse
 AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
 
 
@@ -215,13 +216,15 @@ def _is_crosswise(turned: float, variance: float, length_m: float, is_pose: floa
 
 
 @njit(
-    f"void({_STATE}, float64[::1], int64[::1], float64[:,::1], float64[:,::1], float64[:,::1])",
+    f"void({_STATE}, float64[::1], boolean[::1], int64[::1], float64[:,::1], float64[:,::1],"
+    " float64[:,::1])",
     cache=True,
 )
 def correct(
     mean: Floats,
     covariance: Floats,
     length_m: Floats,
+    on_lane: Bools,
     tracks: Ints,
     boxes: Floats,
     std: Floats,
@@ -230,9 +233,10 @@ def correct(
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
     A box's heading may be reversed; a track that keeps going backwards has a reversed heading
-    itself. `seen` (M, 3) is as of `deviations`. Along, what counts is the end that is turned to the
-    sensor, as of a vehicle of `length_m` (N,): the other is hidden. A box that lies across its
-    track is that of two vehicles abreast, and corrects little.
+    itself, unless it is `on_lane` (N,): there the road tells it. `seen` (M, 3) is as of
+    `deviations`. Along, what counts is the end that is turned to the sensor, as of a vehicle of
+    `length_m` (N,): the other is hidden. A box that lies across its track is that of two vehicles
+    abreast, and corrects little.
     """
     axes = np.zeros((3, 6))
     axes[2, 2] = 1.0
@@ -260,7 +264,9 @@ def correct(
             _correct_by(mean[n], p, axes[axis], off, deviation**2)
         turned = _half_turn(boxes[m, 6] - mean[n, 2])
         _correct_by(mean[n], p, axes[2], turned, std[m, 2] ** 2)
-        if mean[n, 3] < -2.0:
+        if on_lane[n]:
+            mean[n, 3] = max(mean[n, 3], -BACKWARDS_MPS)
+        elif mean[n, 3] < -BACKWARDS_MPS:
             mean[n, 2] += np.pi
             mean[n, 3] = -mean[n, 3]
             mean[n, 5] = -mean[n, 5]

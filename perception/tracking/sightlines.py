@@ -1,7 +1,8 @@
-"""Sight lines of sensors: visible ground rules out a vehicle that would have hidden it.
+"""Sight lines of sensors: whether a vehicle that is not detected would have been.
 
 A vehicle that is not detected may be hidden or gone. It is gone where a sensor has seen the ground
-behind its place: a beam that ends there has passed where the vehicle would be.
+just before its place: nothing stands between them, and the vehicle's near side would have been hit.
+Ground behind its place says less: low beams pass under a vehicle, high ones over its bonnet.
 """
 
 from __future__ import annotations
@@ -16,33 +17,32 @@ from perception.arrays import Bools, Floats, Floats32
 from perception.parallel import each
 
 SECTORS = 2880
-SLICES = 8  # of a box's middle part: through each of them ground may be seen
-ENOUGH = 4.0  # a place of which a quarter was seen through is empty: few points lie on the ground
+SLICES = 8  # of a box's middle part: before each of them ground may be seen
+ENOUGH = 4.0  # before a quarter of a place ground is enough: few points lie on it
 RINGS = 128
 RING_M = 1.0
 GROUND_M = 0.25  # over the road: what is lower is ground
-MARGIN_M = 0.5  # behind a box's middle, where the ground is no part of a wheel
+MIDDLE = 0.5  # of a box's apparent width: ground beside it says nothing
+BEFORE_M = 3.0  # ground so near before a box's near side says that nothing hides it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SightLines:
     """Polar maps of the ground that each of P sensors has seen, (P, `SECTORS`, `RINGS`).
 
-    `sensors` (P, 3) are their places in the map frame, `heights_m` (P,) those over the road.
+    `sensors` (P, 3) are their places in the map frame.
     """
 
     sensors: Floats
-    heights_m: Floats
     ground: Bools
 
     @classmethod
-    def of(cls, sensors: Floats, lowest: Sequence[Floats32], heights_m: Floats) -> SightLines:
+    def of(cls, sensors: Floats, lowest: Sequence[Floats32]) -> SightLines:
         """Draws the maps.
 
         Args:
             sensors: their places (P, 3), map frame.
             lowest: of each the lowest point of every square metre (V, 3): x, y, height over road.
-            heights_m: of each over the road (P,).
         """
         ground = np.zeros((len(sensors), SECTORS, RINGS), np.bool_)
 
@@ -50,16 +50,11 @@ class SightLines:
             _draw(lowest[index], sensors[index], ground[index])
 
         each(draw, range(len(lowest)))
-        return cls(np.ascontiguousarray(sensors), heights_m, ground)
+        return cls(np.ascontiguousarray(sensors), ground)
 
-    def empty(self, boxes: Floats) -> Floats:
-        """Returns how surely each box (N, 7) is empty, 0 to 1: the ground seen through it (N,).
-
-        0 is none. What was seen beside a box does not count.
-        """
-        return np.asarray(
-            _empty(np.ascontiguousarray(boxes), self.sensors, self.heights_m, self.ground)
-        )
+    def plain(self, boxes: Floats) -> Floats:
+        """Returns how surely a vehicle in each box (N, 7) would be in plain view, 0 to 1 (N,)."""
+        return np.asarray(_plain(np.ascontiguousarray(boxes), self.sensors, self.ground))
 
 
 @njit("void(float32[:,::1], float64[::1], boolean[:,::1])", cache=True, nogil=True)
@@ -82,16 +77,32 @@ def _any_ground(ground: Bools, begin: int, end: int, first: int, last: int) -> b
     return False
 
 
-@njit(
-    "float64[::1](float64[:,::1], float64[:,::1], float64[::1], boolean[:,:,::1])",
-    cache=True,
-    nogil=True,
-)
-def _empty(boxes: Floats, sensors: Floats, heights_m: Floats, ground: Bools) -> Floats:
-    """Takes of all sensors the one that saw most through each box's middle part."""
+@njit("float64(float64[::1], float64, float64, float64)", cache=True, nogil=True)
+def _enters_m(box: Floats, x: float, y: float, bearing: float) -> float:
+    """Returns how far from a sensor its ray enters a box (7,) whose middle is at x, y; or inf."""
+    cos, sin = np.cos(box[6]), np.sin(box[6])
+    ray_x, ray_y = np.cos(bearing), np.sin(bearing)
+    enters_m, leaves_m = -np.inf, np.inf
+    for at, step, half_m in (
+        (cos * x + sin * y, cos * ray_x + sin * ray_y, box[3] / 2),
+        (cos * y - sin * x, cos * ray_y - sin * ray_x, box[4] / 2),
+    ):
+        if abs(step) < 1e-9:
+            if abs(at) > half_m:
+                return np.inf
+            continue
+        one, other = (at - half_m) / step, (at + half_m) / step
+        enters_m, leaves_m = max(enters_m, min(one, other)), min(leaves_m, max(one, other))
+    return float(enters_m) if enters_m <= leaves_m else np.inf
+
+
+@njit("float64[::1](float64[:,::1], float64[:,::1], boolean[:,:,::1])", cache=True, nogil=True)
+def _plain(boxes: Floats, sensors: Floats, ground: Bools) -> Floats:
+    """Takes of all sensors the one that saw most of the ground before each box's middle part."""
     shares = np.zeros(boxes.shape[0])
+    per_rad = SECTORS / (2 * np.pi)
     for index in range(boxes.shape[0]):
-        long_m, wide_m, high_m, yaw = boxes[index, 3:7]
+        long_m, wide_m, yaw = boxes[index, 3], boxes[index, 4], boxes[index, 6]
         for sensor in range(sensors.shape[0]):
             x = boxes[index, 0] - sensors[sensor, 0]
             y = boxes[index, 1] - sensors[sensor, 1]
@@ -100,19 +111,18 @@ def _empty(boxes: Floats, sensors: Floats, heights_m: Floats, ground: Bools) -> 
                 continue
             bearing = np.arctan2(y, x)
             turned = yaw - bearing
-            half_m = 0.35 * (abs(long_m * np.sin(turned)) + abs(wide_m * np.cos(turned)))
-            over_m = heights_m[sensor] - 0.7 * high_m
-            shadow_m = range_m * heights_m[sensor] / over_m if over_m > 0.1 else np.inf
-            first = int((range_m + MARGIN_M) / RING_M)
-            last = int(min(shadow_m, range_m + 25.0, RINGS * RING_M - 1) / RING_M)
-            low = int(np.ceil((bearing - half_m / range_m) * (SECTORS / (2 * np.pi))))
-            high = int(np.floor((bearing + half_m / range_m) * (SECTORS / (2 * np.pi))))
+            half_m = MIDDLE / 2 * (abs(long_m * np.sin(turned)) + abs(wide_m * np.cos(turned)))
+            low = int(np.ceil((bearing - half_m / range_m) * per_rad))
+            high = int(np.floor((bearing + half_m / range_m) * per_rad))
             slices = min(SLICES, high - low)
-            through = 0
+            seen = 0
             for part in range(slices):
                 begin = low + part * (high - low) // slices
                 end = low + (part + 1) * (high - low) // slices
-                through += _any_ground(ground[sensor], begin, end, first, last)
+                near_m = _enters_m(boxes[index], x, y, (begin + end) / 2 / per_rad)
+                if near_m < np.inf:
+                    first = int(max(near_m - BEFORE_M, 0.0) / RING_M)
+                    seen += _any_ground(ground[sensor], begin, end, first, int(near_m / RING_M) - 1)
             if slices > 0:
-                shares[index] = max(shares[index], min(1.0, ENOUGH * through / slices))
+                shares[index] = max(shares[index], min(1.0, ENOUGH * seen / slices))
     return shares

@@ -20,8 +20,8 @@ class TrackStates:
     `along_m` and `off_m` are as of `LaneGraph.locate` in this frame; `origin` is the lane that a
     track was on for sure before, -1 for none. `owner` is the agent whose
     poses a track follows, "lidar" for none; `seen` whether it was detected in this frame, else
-    `in_view` how much of its place was seen to be empty. `cruise` is the share of
-    the speed allowed at which its driver drives where nothing is in the way, NaN if unknown.
+    `in_view` how surely its place was in plain view. `cruise` is the share of the speed allowed at
+    which its driver drives where nothing is in the way, NaN if unknown.
     """
 
     ids: Ints

@@ -215,6 +215,7 @@ class Tracker:
             states.mean,
             states.covariance,
             np.ascontiguousarray(states.dims[:, 1]),
+            states.lane >= 0,
             tracks,
             np.ascontiguousarray(seen.boxes),
             std[matched],

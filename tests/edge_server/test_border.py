@@ -47,7 +47,7 @@ class Edge:
         lanes = LaneIndex(region.surroundings)
         self.stages = [
             Border(self.strips, CONFIG.fusion),
-            Track(region.surroundings, ROADWAY, CONFIG.tracking, self.strips),
+            Track(region.surroundings, CONFIG.tracking, self.strips),
             Count(region, lanes, CONFIG, has_lidars=True, strips=self.strips),
         ]
 

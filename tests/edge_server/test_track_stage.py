@@ -6,7 +6,7 @@ import pytest
 from edge_server.frame import Chunk, Frame, FrameState
 from edge_server.tracking import FRAME_BIT, ShownSignals, Track
 from perception.detector import Vehicles
-from perception.roadway import Placed, Roadway
+from perception.roadway import Placed
 from perception.tracking.config import TrackingConfig
 from perception.tracking.life_cycle import UNKNOWN_MPS
 from protocol.messages import AgentPose, Equipment, SignalState
@@ -19,7 +19,7 @@ S = 1_000_000_000
 
 @pytest.fixture
 def stage(road_map: RoadMap) -> Track:
-    return Track(road_map, Roadway.of(road_map, margin_m=0.5), TrackingConfig())
+    return Track(road_map, TrackingConfig())
 
 
 def run(
@@ -40,10 +40,9 @@ def run(
 
 
 def test_ids_bear_the_frame_in_which_the_edge_began_so_that_a_restart_gives_others(road_map):
-    roadway = Roadway.of(road_map, margin_m=0.5)
     ids = []
     for start in (3, 90):
-        edge = Track(road_map, roadway, TrackingConfig())
+        edge = Track(road_map, TrackingConfig())
         run(edge, 0, agents=())  # the warm-up
         ids += run(edge, start, -50.0, -30.0).tracks.track_ids.tolist()
     assert ids == [(3 << FRAME_BIT) + 1, (3 << FRAME_BIT) + 2, (90 << FRAME_BIT) + 1,
@@ -68,7 +67,7 @@ def test_more_detections_than_are_tracked_are_counted(stage):
 def test_on_an_open_ground_nothing_is_known_of_the_speed_of_who_was_seen_once():
     level = Ground(np.zeros((1, 2)), np.zeros((1, 3)), fit=1.0, slope_deg=0.0)
     ground = open_ground({"way": np.zeros((1, 6))}, level, width_m=40)
-    stage = Track(ground, Roadway.of(ground, margin_m=0.5), TrackingConfig())
+    stage = Track(ground, TrackingConfig())
     tracks = run(stage, 0, -50.0).tracks
     assert tracks.speeds_mps.tolist() == [0.0]
     assert tracks.speed_std_mps.tolist() == [UNKNOWN_MPS]
@@ -76,17 +75,17 @@ def test_on_an_open_ground_nothing_is_known_of_the_speed_of_who_was_seen_once():
 
 def test_without_tracking_each_frame_stands_for_itself(road_map):
     off = TrackingConfig(enabled=False)
-    stage = Track(road_map, Roadway.of(road_map, margin_m=0.5), off)
+    stage = Track(road_map, off)
     run(stage, 0, -50.0)
     tracks = run(stage, 1, -50.0, -30.0).tracks
     assert (tracks.track_ids.tolist(), tracks.coasted_s.tolist()) == ([0, 0], [0, 0])
 
 
-@pytest.mark.parametrize("is_seen_through", [True, False])
-def test_a_scan_that_shows_the_ground_behind_a_place_says_that_it_is_empty(stage, is_seen_through):
+@pytest.mark.parametrize("is_plain", [True, False])
+def test_a_scan_that_shows_the_ground_before_a_place_says_that_it_is_empty(stage, is_plain):
     for number in range(5):
         run(stage, number, -50.0)
-    ground = [(-44.0, y, 0.0) for y in np.arange(-4, 2, 0.25)] if is_seen_through else []
+    ground = [(-54.0, y, 0.0) for y in np.arange(-4, 2, 0.25)] if is_plain else []
     empty = np.zeros((0, 3), np.float32)
     lowest = np.array([(-69.0, 0.0, 0.0), *ground], np.float32)
     placed = Placed(empty, empty[:, 0], lowest)
@@ -94,7 +93,7 @@ def test_a_scan_that_shows_the_ground_behind_a_place_says_that_it_is_empty(stage
     state = FrameState(Frame(5, S // 2, ["a"], [], [scan], complete=True, first_ns=0, ready_ns=0))
     state.fused = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0))
     stage.run(state)
-    assert len(state.tracks) == (0 if is_seen_through else 1)
+    assert len(state.tracks) == (0 if is_plain else 1)
 
 
 def test_what_an_agent_showed_ends_in_the_frame_that_excludes_it(stage):

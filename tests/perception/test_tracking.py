@@ -13,6 +13,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.optimize import linear_sum_assignment
 
 from perception.detector import LIDAR, Vehicles
+from perception.tracking import motion
 from perception.tracking.association import assign, associate
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_graph import GO, STOP, UNKNOWN, LaneGraph
@@ -23,7 +24,7 @@ from protocol.roadmap import Intersection, Lane, Link, RoadMap, Signal
 
 S = 1_000_000_000
 DT = S // 10
-NOBODY = SightLines.of(np.zeros((0, 3)), [], np.zeros(0))
+NOBODY = SightLines.of(np.zeros((0, 3)), [])
 CONFIG = TrackingConfig()
 
 
@@ -66,7 +67,7 @@ def plain_view(*sensors: tuple[float, float]) -> SightLines:
     """Returns sensors 2.5 m high that see the ground everywhere."""
     places = np.array([(x, y, 2.5) for x, y in sensors])
     ground = np.ones((len(sensors), SECTORS, RINGS), np.bool_)
-    return SightLines(places, places[:, 2], ground)
+    return SightLines(places, ground)
 
 
 @pytest.mark.parametrize("lanes", [None, STRAIGHT], ids=["open", "lane"])
@@ -365,6 +366,38 @@ def test_a_hidden_vehicle_stops_behind_a_queue() -> None:
     assert tracks.speeds_mps[mine] < 0.2
 
 
+def test_who_is_hidden_between_two_that_stand_stays_known() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(10):
+        tracker.step(k * DT, cars((100, 0), (107, 0), (114, 0)), NOBODY)
+    for k in range(10, 600):
+        tracks = tracker.step(k * DT, cars((100, 0), (114, 0)), NOBODY)
+        assert tracks.boxes[tracks.coasted_s > 0, 0] == pytest.approx([107], abs=0.5)
+    assert tracks.position_std_m[tracks.coasted_s > 0] < 1.5
+
+
+@pytest.mark.parametrize(("gap_m", "is_known"), [(12.0, True), (60.0, False)])
+def test_who_is_hidden_behind_a_vehicle_that_is_seen_keeps_the_gap_to_it(gap_m, is_known) -> None:
+    """Where there is much room ahead, nobody knows how fast it drives."""
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(130):
+        x_m = 75 + 8.0 * k / 10
+        seen = cars((x_m, 0), (x_m - gap_m, 0)) if k < 30 else cars((x_m, 0))
+        tracks = tracker.step(k * DT, seen, NOBODY)
+    hidden_m = x_m - tracks.boxes[tracks.coasted_s > 0, 0]
+    assert hidden_m == pytest.approx([gap_m] if is_known else [], abs=3.5)
+
+
+@pytest.mark.parametrize("lanes", [None, STRAIGHT], ids=["open", "lane"])
+def test_on_a_lane_a_box_that_falls_back_turns_nobody_round(lanes) -> None:
+    """Its first box was too long. In the open nobody knows but that it drives the other way."""
+    tracker = Tracker(CONFIG, lanes)
+    for k, x_m in enumerate((50.0, 49.2, 48.2)):
+        tracks = tracker.step(k * DT, cars((x_m, 0)), NOBODY)
+    assert np.cos(tracks.boxes[0, 6]) == pytest.approx(1 if lanes else -1, abs=0.01)
+    assert tracks.speeds_mps[0] >= -motion.BACKWARDS_MPS
+
+
 def test_a_hidden_vehicle_leaves_the_map_where_its_lane_ends() -> None:
     tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), STRAIGHT)
     follow(tracker, 13.0, 30, start_m=340.0)
@@ -511,8 +544,8 @@ def test_a_lane_without_length_is_passed() -> None:
 
 
 def seen_from(x_m: float) -> SightLines:
-    """Returns a sensor beside the lane that sees through nothing."""
-    return SightLines.of(np.array([(x_m, 3.0, 2.5)]), [np.zeros((0, 3), np.float32)], np.ones(1))
+    """Returns a sensor beside the lane that sees no ground."""
+    return SightLines.of(np.array([(x_m, 3.0, 2.5)]), [np.zeros((0, 3), np.float32)])
 
 
 def test_a_bonnet_between_two_beams_neither_stops_nor_turns_a_vehicle() -> None:
