@@ -189,6 +189,7 @@ def _as_received(vehicles: Vehicles) -> Vehicles:
         vehicles.sources,
         vehicles.position_std_m.astype(np.float32).astype(np.float64),
         vehicles.classes,
+        vehicles.ends_m,
     )
 
 
@@ -199,6 +200,7 @@ def _vehicles(message: BorderObjects) -> Vehicles:
         message.sources,
         message.position_std_m.astype(np.float64),
         message.classes,
+        np.full((len(message.boxes), 2), np.nan),
     )
 
 

@@ -7,6 +7,8 @@ too few points determine a direction, the road's is taken.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import njit
 
@@ -39,6 +41,8 @@ EXTENDED_M = 5.0  # no hidden end makes a car longer
 SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 OVER_M = 0.8  # over the ground: what begins higher is seen over something else
 ACROSS_RAD = 1.0  # a box turned farther from the road's direction stands across it
+WHOLE_M, WHOLE_RANGE_M = 3.6, 25.0  # what is so long and so near is seen whole
+BUMPER_M = 0.5  # over the ground: what is seen of an end so low is its bumper
 END_M = 0.3  # this close to a box's end, points belong to it
 HIDDEN_M = (
     np.array(  # rows: height of the lowest seen of a car's end; length before a rear, a front
@@ -78,20 +82,27 @@ def fit_boxes(
     kept = (members >= LEAST_POINTS) | (_away_m(sensors, middles) > NEAR_M)
     kept &= shapes.is_vehicle_or_person
     kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
+    ends_m = np.full((clusters.count, 2), np.nan)
     if completed:
+        seen_m = extents[:, :, 0].copy()
         size_m = usual_m(kinds)
-        ends_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
+        over_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
         cars = is_car(kinds)
-        hidden_m = _hidden_m(ends_m, _turned_rad(yaws, road_yaws) > ACROSS_RAD)
+        hidden_m = _hidden_m(over_m, _turned_rad(yaws, road_yaws) > ACROSS_RAD)
         hidden_m = np.minimum(hidden_m, np.clip(EXTENDED_M - along_m, 0.0, None)[:, None])
         hidden_m *= cars[:, None]
         is_over = shapes.bottom_m > OVER_M
         in_middle = np.column_stack([is_over & ~cars, is_over])
-        _complete(extents, middles, yaws, sensors, size_m, hidden_m, in_middle)
+        ahead = _ahead(extents, middles, yaws, sensors, in_middle)
+        _complete(extents, ahead, size_m, hidden_m)
+        is_whole = (along_m >= WHOLE_M) & (_away_m(sensors, middles) < WHOLE_RANGE_M)
+        is_end = _is_end(over_m, ahead[:, 0], is_whole)
+        ends_m[is_end] = (seen_m - extents[:, :, 0].mean(axis=1)[:, None])[is_end]
         extents[:, 0, 2] = floor_m
         extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
     boxes = _boxes(extents, middles, yaws)
-    found = Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds)).take(kept)
+    found = Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds))
+    found = replace(found, ends_m=ends_m).take(kept)
     return found.take(np.sort(suppress(found.boxes, found.scores, iou=1.0, part=SHARED)))
 
 
@@ -167,34 +178,44 @@ def _hidden_m(ends_m: Floats, across: Bools) -> Floats:
     return np.column_stack([rear_m, front_m])
 
 
-def _complete(
-    extents: Floats,
-    middles: Floats,
-    yaws: Floats,
-    sensors: Floats,
-    usual_m: Floats,
-    hidden_m: Floats,
-    in_middle: Bools,
-) -> None:
-    """Widens boxes to usual sizes (C, 3): the side turned to the sensor (C, 2) stays in place.
+def _ahead(
+    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, in_middle: Bools
+) -> Floats:
+    """Returns which share of what boxes lack lies ahead, and which to the left (C, 2).
 
-    What is hidden (C, 2) before the end turned to the sensor is added there. Those stay in the
-    middle, along and across (C, 2), of which that side is hidden by what they are seen over.
+    The side turned to the sensor (C, 2) stays in place, so that all lies on the other one. Those
+    stay in the middle, along and across (C, 2), of which that side is hidden by what they are seen
+    over.
     """
     off = sensors - middles[:, :2]
     cos, sin = np.cos(yaws), np.sin(yaws)
     seen_from = np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], -1)
-    for axis in range(2):
-        low, high = extents[:, 0, axis], extents[:, 1, axis]
-        ahead = np.where(seen_from[:, axis] > high, 0.0, 0.5)
-        ahead = np.where(seen_from[:, axis] < low, 1.0, ahead)
-        if axis == 0:
-            high = high + (ahead == 0.0) * hidden_m[:, 1]
-            low = low - (ahead == 1.0) * hidden_m[:, 0]
-        missing_m = np.maximum(usual_m[:, axis] - (high - low), 0.0)
-        ahead = np.where(in_middle[:, axis], 0.5, ahead)
-        extents[:, 1, axis] = high + ahead * missing_m
-        extents[:, 0, axis] = low - (1.0 - ahead) * missing_m
+    ahead = np.where(seen_from > extents[:, 1, :2], 0.0, 0.5)
+    ahead = np.where(seen_from < extents[:, 0, :2], 1.0, ahead)
+    return np.where(in_middle, 0.5, ahead)
+
+
+def _complete(extents: Floats, ahead: Floats, usual_m: Floats, hidden_m: Floats) -> None:
+    """Widens boxes to usual sizes (C, 3), as `_ahead` (C, 2) has it.
+
+    What is hidden before their ends (C, 2) is added where such an end is turned to the sensor.
+    """
+    low, high = extents[:, 0, :2], extents[:, 1, :2]
+    low[:, 0] -= (ahead[:, 0] == 1.0) * hidden_m[:, 0]
+    high[:, 0] += (ahead[:, 0] == 0.0) * hidden_m[:, 1]
+    missing_m = np.maximum(usual_m[:, :2] - (high - low), 0.0)
+    high += ahead * missing_m
+    low -= (1.0 - ahead) * missing_m
+
+
+def _is_end(over_m: Floats, ahead: Floats, is_whole: Bools) -> Bools:
+    """Marks rears and fronts (C, 2) of vehicles that end where the last of them was seen.
+
+    So does the end turned to the sensor if a bumper was seen, that is something so low over the
+    ground; and so does the other one of what was seen whole.
+    """
+    turned_to = np.column_stack([ahead == 1.0, ahead == 0.0])
+    return np.asarray((over_m < BUMPER_M) & (turned_to | is_whole[:, None]))
 
 
 def _boxes(extents: Floats, middles: Floats, yaws: Floats) -> Floats:

@@ -27,7 +27,9 @@ class Vehicles:
     """Boxes (N, 7) in the map frame: x, y, z of the centre, length, width, height, yaw.
 
     `classes` (N,) are of `ObjectClass`; `scores` is (N,), from 0 to 1. A source is "lidar" or the
-    agent whose own pose it is; then `position_std_m` (N,) is how far that may be off.
+    agent whose own pose it is; then `position_std_m` (N,) is how far that may be off. `ends_m`
+    (N, 2) are where the rear and the front were seen, along from the centre; NaN where they were
+    not, and the box's end is where that of a usual vehicle would be.
     """
 
     boxes: Floats
@@ -35,12 +37,14 @@ class Vehicles:
     sources: list[str]
     position_std_m: Floats
     classes: Bytes
+    ends_m: Floats
 
     @classmethod
     def from_lidar(cls, boxes: Floats, scores: Floats, classes: Bytes | None = None) -> Vehicles:
         """Returns vehicles detected by LiDAR; without classes given, by their sizes."""
         classes = classes_by_size(boxes[:, 3:6]) if classes is None else classes
-        return cls(boxes, scores, [LIDAR] * len(boxes), np.zeros(len(boxes)), classes)
+        unseen = np.full((len(boxes), 2), np.nan)
+        return cls(boxes, scores, [LIDAR] * len(boxes), np.zeros(len(boxes)), classes, unseen)
 
     def __len__(self) -> int:
         return len(self.boxes)
@@ -54,6 +58,7 @@ class Vehicles:
             [self.sources[i] for i in indices],
             self.position_std_m[indices],
             self.classes[indices],
+            self.ends_m[indices],
         )
 
     def __add__(self, other: Vehicles) -> Vehicles:
@@ -63,6 +68,7 @@ class Vehicles:
             self.sources + other.sources,
             np.concatenate([self.position_std_m, other.position_std_m]),
             np.concatenate([self.classes, other.classes]),
+            np.concatenate([self.ends_m, other.ends_m]),
         )
 
 

@@ -58,6 +58,7 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
         score=new.scores.copy(),
         existence=np.full(count, FIRST_EXISTENCE),
         hits=np.ones(count, np.int64),
+        wholes=np.zeros(count, np.int64),
         first_ns=stamp,
         last_ns=stamp.copy(),
         lane=number,

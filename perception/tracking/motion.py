@@ -200,6 +200,26 @@ def _of_end(towards_m: float, off_m: float, range_m: float, p: Floats, axis: Flo
     return float(deviation * np.sqrt(max(far / TOWARDS, 1.0)))
 
 
+@njit("UniTuple(float64, 2)(float64, float64, float64, float64[::1])", cache=True)
+def _middle(long_m: float, length_m: float, ahead_m: float, ends_m: Floats) -> tuple[float, float]:
+    """Returns which end of a box is known, and where its vehicle's middle is, from the box's.
+
+    The end is 1 for the front, -1 for the rear, 0 for both or neither. Where none was seen, it is
+    the one that is turned to the nearest sensor, which is so far ahead.
+    """
+    rear_m, front_m = ends_m
+    if not np.isnan(rear_m) and not np.isnan(front_m):
+        return 0.0, (rear_m + front_m) / 2
+    if not np.isnan(front_m):
+        return 1.0, front_m - length_m / 2
+    if not np.isnan(rear_m):
+        return -1.0, rear_m + length_m / 2
+    if abs(ahead_m) <= long_m / 2 + ABEAM_M:
+        return 0.0, 0.0
+    side = np.sign(ahead_m)
+    return side, side * (long_m - length_m) / 2
+
+
 @njit("float64(float64)", cache=True)
 def _half_turn(angle: float) -> float:
     """Returns the angle between headings that may be reversed, modulo a half turn."""
@@ -217,7 +237,7 @@ def _is_crosswise(turned: float, variance: float, length_m: float, is_pose: floa
 
 @njit(
     f"void({_STATE}, float64[::1], boolean[::1], int64[::1], float64[:,::1], float64[:,::1],"
-    " float64[:,::1])",
+    " float64[:,::1], float64[:,::1])",
     cache=True,
 )
 def correct(
@@ -229,6 +249,7 @@ def correct(
     boxes: Floats,
     std: Floats,
     seen: Floats,
+    ends_m: Floats,
 ) -> None:
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
@@ -255,11 +276,9 @@ def correct(
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
             off, deviation = axes[axis, 0] * x + axes[axis, 1] * y, std[m, axis]
             if axis == 0 and seen[m, 2] == 0.0:
-                side = np.sign(seen[m, 0])
-                if abs(seen[m, 0]) <= boxes[m, 3] / 2 + ABEAM_M:
-                    side = 0.0
+                side, middle_m = _middle(boxes[m, 3], length_m[n], seen[m, 0], ends_m[m])
                 if seen[m, 1] > 0.0:
-                    off += side * (boxes[m, 3] - length_m[n]) / 2
+                    off += middle_m
                     deviation = _of_end(side * off, abs(off), seen[m, 1], p, axes[0])
             _correct_by(mean[n], p, axes[axis], off, deviation**2)
         turned = _half_turn(boxes[m, 6] - mean[n, 2])

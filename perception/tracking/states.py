@@ -16,12 +16,13 @@ CLASSES = len(ObjectClass)
 class TrackStates:
     """The states of N tracks; see `motion` for `mean` and `covariance`.
 
-    `dims` (N, 4) are z, length, width, height, `votes` (N, classes) detections by class. `lane`,
-    `along_m` and `off_m` are as of `LaneGraph.locate` in this frame; `origin` is the lane that a
-    track was on for sure before, -1 for none. `owner` is the agent whose
-    poses a track follows, "lidar" for none; `seen` whether it was detected in this frame, else
-    `in_view` how surely its place was in plain view. `cruise` is the share of the speed allowed at
-    which its driver drives where nothing is in the way, NaN if unknown.
+    `dims` (N, 4) are z, length, width, height, `votes` (N, classes) detections by class, `hits` all
+    detections, `wholes` those that showed both ends. `lane`, `along_m` and `off_m` are as of
+    `LaneGraph.locate` in this frame; `origin` is the lane that a track was on for sure before, -1
+    for none. `owner` is the agent whose poses a track follows, "lidar" for none; `seen` whether it
+    was detected in this frame, else `in_view` how surely its place was in plain view. `cruise` is
+    the share of the speed allowed at which its driver drives where nothing is in the way, NaN if
+    unknown.
     """
 
     ids: Ints
@@ -32,6 +33,7 @@ class TrackStates:
     score: Floats
     existence: Floats
     hits: Ints
+    wholes: Ints
     first_ns: Ints
     last_ns: Ints
     lane: Ints
@@ -56,6 +58,7 @@ class TrackStates:
             score=real,
             existence=real,
             hits=whole,
+            wholes=whole,
             first_ns=whole,
             last_ns=whole,
             lane=whole,

@@ -220,6 +220,7 @@ class Tracker:
             np.ascontiguousarray(seen.boxes),
             std[matched],
             seen_from[matched],
+            np.ascontiguousarray(seen.ends_m),
         )
         np.clip(states.mean[:, 3], -FASTEST_MPS, FASTEST_MPS, out=states.mean[:, 3])
         states.seen[tracks] = True
@@ -229,12 +230,25 @@ class Tracker:
         states.existence[tracks] = raised_existence(states.existence[tracks])
         dims = seen.boxes[:, 2:6]
         new = 1 / np.minimum(states.hits[tracks], SIZES)[:, None]
-        states.dims[tracks, 1:] += new * (dims[:, 1:] - states.dims[tracks, 1:])
+        states.dims[tracks, 2:] += new * (dims[:, 2:] - states.dims[tracks, 2:])
+        self._measure_lengths(tracks, seen)
         states.dims[tracks, 0] = dims[:, 0]
         states.votes[tracks, seen.classes] += seen.scores
         for n, source in zip(tracks.tolist(), seen.sources, strict=True):
             if source != LIDAR:
                 states.owner[n] = source
+
+    def _measure_lengths(self, tracks: Ints, seen: Vehicles) -> None:
+        """Takes the mean of lengths; once both ends were seen, of those alone."""
+        states = self._states
+        length_m = seen.ends_m[:, 1] - seen.ends_m[:, 0]
+        whole = ~np.isnan(length_m)
+        states.wholes[tracks] += whole
+        counts = np.where(states.wholes[tracks] > 0, states.wholes[tracks], states.hits[tracks])
+        new = 1 / np.minimum(counts, SIZES)
+        new[~whole & (states.wholes[tracks] > 0)] = 0.0
+        length_m = np.where(whole, length_m, seen.boxes[:, 3])
+        states.dims[tracks, 1] += new * (length_m - states.dims[tracks, 1])
 
     def _is_new(self, observed: Vehicles, pairs: Ints) -> Bools:
         """Whether each detection is a vehicle of its own, not another box of one that is known."""

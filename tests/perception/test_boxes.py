@@ -59,6 +59,32 @@ def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> Non
     np.testing.assert_allclose(found.boxes[0, :2], [32.25, 1.75], atol=0.15)
 
 
+@pytest.mark.parametrize(("x", "rear_m", "front_m"), [(30, -2.2, None), (-30, None, 2.3)])
+def test_of_a_bumper_alone_one_end_is_known(
+    roadway: Roadway, x: float, rear_m: float | None, front_m: float | None
+) -> None:
+    """The points reach 10 cm into the vehicle, the rear of one that goes on from the sensor."""
+    rng = np.random.default_rng(1)
+    bumper = rng.uniform([x, 0.85, 0.3], [x + 0.1, 2.65, 1.5], (40, 3))
+    found = fit(roadway, bumper)
+    known = [np.nan if end_m is None else end_m for end_m in (rear_m, front_m)]
+    np.testing.assert_allclose(found.ends_m, [known], atol=0.1)
+    window = bumper + np.array([0, 0, 0.7])
+    assert np.isnan(fit(roadway, window).ends_m).all()
+    assert np.isnan(fit(roadway, bumper, completed=False).ends_m).all()
+
+
+@pytest.mark.parametrize(("x", "rear_is_known"), [(10.0, True), (60.0, True), (-60.0, False)])
+def test_both_ends_are_known_of_a_car_that_is_seen_whole_near_by(
+    roadway: Roadway, car_shell: Callable[..., Any], x: float, rear_is_known: bool
+) -> None:
+    car = car_shell([x, 1.75, 0, 0, 0, 0], (0.0, 0.0), np.random.default_rng(1), points=900)
+    (ends_m,) = fit(roadway, car[car[:, 2] > 0.2]).ends_m
+    known = [rear_is_known, not rear_is_known or x < 25]
+    assert (~np.isnan(ends_m)).tolist() == known
+    np.testing.assert_allclose(ends_m[known], np.array([-2.25, 2.25])[known], atol=0.2)
+
+
 def test_a_bare_box_holds_its_points_and_no_more(roadway: Roadway) -> None:
     rng = np.random.default_rng(1)
     rear = rng.uniform([30, 0.85, 0.3], [30.1, 2.65, 1.5], (40, 3))

@@ -34,7 +34,12 @@ def cars(*places: tuple[float, ...], source: str = LIDAR, score: float = 0.9) ->
     boxes = np.array(rows, np.float64).reshape(-1, 7)
     found = Vehicles.from_lidar(boxes, np.full(len(boxes), score))
     return Vehicles(
-        found.boxes, found.scores, [source] * len(boxes), found.position_std_m, found.classes
+        found.boxes,
+        found.scores,
+        [source] * len(boxes),
+        found.position_std_m,
+        found.classes,
+        found.ends_m,
     )
 
 
@@ -570,6 +575,28 @@ def test_the_end_that_a_sensor_sees_tells_where_a_vehicle_is_whatever_length_is_
         tracks = tracker.step(k * DT, Vehicles.from_lidar(whole, np.ones(1)), seen_from(200))
     assert tracks.boxes[0, 0] == pytest.approx(39, abs=0.4)
     assert tracks.speeds_mps[0] == pytest.approx(10, abs=0.4)
+
+
+def test_an_end_that_was_seen_tells_where_a_vehicle_is_on_whichever_side_the_sensors_are() -> None:
+    tracker, sensor = Tracker(CONFIG, STRAIGHT), plain_view((0.0, 0.0))
+    for k in range(30):
+        whole, place_m = k < 15, 40.0 + k
+        seen = cars((place_m if whole else place_m + 0.75, 0))
+        seen.boxes[0, 3] = 4.5 if whole else 3.0
+        seen.ends_m[0] = (-2.25, 2.25) if whole else (np.nan, 1.5)
+        tracks = tracker.step(k * DT, seen, sensor)
+    assert tracks.boxes[0, 0] == pytest.approx(place_m, abs=0.1)
+    assert tracks.speeds_mps[0] == pytest.approx(10.0, abs=0.2)
+
+
+def test_a_vehicle_is_as_long_as_it_was_where_both_ends_were_seen() -> None:
+    tracker, lengths_m = Tracker(CONFIG, STRAIGHT), []
+    for k in range(30):
+        seen = cars((40.0 + k, 0))
+        if 10 <= k < 20:
+            seen.ends_m[0] = (-2.0, 1.9)
+        lengths_m.append(tracker.step(k * DT, seen, NOBODY).boxes[0, 3])
+    np.testing.assert_allclose(lengths_m, [4.5] * 10 + [3.9] * 20)
 
 
 def test_a_lorry_seen_in_parts_keeps_its_id() -> None:
