@@ -139,9 +139,10 @@ class RangeScan:
 
     def cloud(self) -> PointCloud:
         """Returns the points in the sensor frame, ring by ring."""
-        hit = self.range_m > 0
-        points = self.pattern.directions[hit] * self.range_m[hit][:, None]
-        return PointCloud(points, self.intensity[hit])
+        hit = np.flatnonzero(self.range_m > 0)
+        points = self.pattern.directions.reshape(-1, 3).take(hit, axis=0)
+        points *= self.range_m.take(hit)[:, None]
+        return PointCloud(points, self.intensity.take(hit))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
