@@ -189,7 +189,7 @@ def _as_received(vehicles: Vehicles) -> Vehicles:
         vehicles.sources,
         vehicles.position_std_m.astype(np.float32).astype(np.float64),
         vehicles.classes,
-        vehicles.ends_m,
+        np.full((len(vehicles), 2), np.nan),
     )
 
 

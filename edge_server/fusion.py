@@ -151,7 +151,7 @@ def from_poses(poses: list[AgentPose]) -> Vehicles:
         [p.agent for p in vehicles],
         np.array([p.position_std_m for p in vehicles], np.float64),
         classes_by_size(rows[:, 3:6]),
-        rows[:, 3:4] * (-0.5, 0.5),
+        np.full((len(vehicles), 2), np.nan),
     )
 
 

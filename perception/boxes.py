@@ -41,7 +41,7 @@ EXTENDED_M = 5.0  # no hidden end makes a car longer
 SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 OVER_M = 0.8  # over the ground: what begins higher is seen over something else
 ACROSS_RAD = 1.0  # a box turned farther from the road's direction stands across it
-WHOLE_M, WHOLE_RANGE_M = 3.6, 25.0  # what is so long and so near is seen whole
+WHOLE_M, WHOLE_RANGE_M = 3.6, 25.0  # a car so long and so near is seen whole
 BUMPER_M = 0.5  # over the ground: what is seen of an end so low is its bumper
 END_M = 0.3  # this close to a box's end, points belong to it
 HIDDEN_M = (
@@ -93,9 +93,9 @@ def fit_boxes(
         hidden_m *= cars[:, None]
         is_over = shapes.bottom_m > OVER_M
         in_middle = np.column_stack([is_over & ~cars, is_over])
-        ahead = _ahead(extents, middles, yaws, sensors, in_middle)
+        ahead = _share_ahead(extents, middles, yaws, sensors, in_middle)
         _complete(extents, ahead, size_m, hidden_m)
-        is_whole = (along_m >= WHOLE_M) & (_away_m(sensors, middles) < WHOLE_RANGE_M)
+        is_whole = cars & (along_m >= WHOLE_M) & (_away_m(sensors, middles) < WHOLE_RANGE_M)
         is_end = _is_end(over_m, ahead[:, 0], is_whole)
         ends_m[is_end] = (seen_m - extents[:, :, 0].mean(axis=1)[:, None])[is_end]
         extents[:, 0, 2] = floor_m
@@ -164,21 +164,21 @@ def _turned_rad(yaws: Floats, road_yaws: Floats) -> Floats:
     return np.asarray(np.abs((yaws - road_yaws + np.pi) % (2 * np.pi) - np.pi))
 
 
-def _hidden_m(ends_m: Floats, across: Bools) -> Floats:
-    """Returns how much of cars is hidden at their rear and front ends (C, 2), of such heights.
+def _hidden_m(over_m: Floats, across: Bools) -> Floats:
+    """Returns how much of cars is hidden at their rears and fronts (C, 2), seen from so high on.
 
     Where the lowest that is seen of an end is a window or the roof, boot or bonnet lie before it,
     hidden by another vehicle or between two beams. A vehicle is taken to look the way that the road
     leads; of those across the road (C,), whose front is unknown, no end has more than a boot.
     """
     heights_m, *before_m = HIDDEN_M.T
-    each_end = zip(ends_m.T, before_m, strict=True)
-    rear_m, front_m = (np.interp(end_m, heights_m, one_m) for end_m, one_m in each_end)
-    front_m = np.where(across, np.interp(ends_m[:, 1], heights_m, before_m[0]), front_m)
+    each_end = zip(over_m.T, before_m, strict=True)
+    rear_m, front_m = (np.interp(lowest_m, heights_m, one_m) for lowest_m, one_m in each_end)
+    front_m = np.where(across, np.interp(over_m[:, 1], heights_m, before_m[0]), front_m)
     return np.column_stack([rear_m, front_m])
 
 
-def _ahead(
+def _share_ahead(
     extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, in_middle: Bools
 ) -> Floats:
     """Returns which share of what boxes lack lies ahead, and which to the left (C, 2).
@@ -196,7 +196,7 @@ def _ahead(
 
 
 def _complete(extents: Floats, ahead: Floats, usual_m: Floats, hidden_m: Floats) -> None:
-    """Widens boxes to usual sizes (C, 3), as `_ahead` (C, 2) has it.
+    """Widens boxes to usual sizes (C, 3), as `_share_ahead` (C, 2) has it.
 
     What is hidden before their ends (C, 2) is added where such an end is turned to the sensor.
     """

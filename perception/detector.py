@@ -28,8 +28,8 @@ class Vehicles:
 
     `classes` (N,) are of `ObjectClass`; `scores` is (N,), from 0 to 1. A source is "lidar" or the
     agent whose own pose it is; then `position_std_m` (N,) is how far that may be off. `ends_m`
-    (N, 2) are where the rear and the front were seen, along from the centre; NaN where they were
-    not, and the box's end is where that of a usual vehicle would be.
+    (N, 2) are where the vehicle's rear and front were seen, along from the box's centre; NaN where
+    that is unknown.
     """
 
     boxes: Floats
@@ -48,6 +48,11 @@ class Vehicles:
 
     def __len__(self) -> int:
         return len(self.boxes)
+
+    def whole_lengths_m(self) -> Floats:
+        """Returns the lengths (N,) of what was seen from end to end or reports itself, else NaN."""
+        reports = np.array([source != LIDAR for source in self.sources], np.bool_)
+        return np.where(reports, self.boxes[:, 3], self.ends_m[:, 1] - self.ends_m[:, 0])
 
     def take(self, chosen: Ints | Bools) -> Vehicles:
         """Returns some of them, by index or mask, in the order of the indices."""
@@ -152,16 +157,19 @@ def checked_vehicles(plugin: Plugin, found: object) -> Vehicles:
     if not isinstance(found, Vehicles):
         raise plugin.wrong(f"found a {type(found).__name__}, must find Vehicles")
     count = len(found.boxes)
-    numbers = found.scores, found.position_std_m, found.classes
+    numbers = found.scores, found.position_std_m, found.classes, found.ends_m
     shapes = [found.boxes.shape, *(one.shape for one in numbers)]
-    if shapes != [(count, 7), *[(count,)] * 3] or len(found.sources) != count:
+    if shapes != [(count, 7), *[(count,)] * 3, (count, 2)] or len(found.sources) != count:
         raise plugin.wrong(
             f"found boxes {shapes[0]}, scores {shapes[1]}, position_std_m {shapes[2]}, classes "
-            f"{shapes[3]} and {len(found.sources)} sources; must be (N, 7), (N,), (N,), (N,) "
-            "and N"
+            f"{shapes[3]}, ends_m {shapes[4]} and {len(found.sources)} sources; must be (N, 7), "
+            "(N,), (N,), (N,), (N, 2) and N"
         )
     if not (np.isfinite(found.boxes).all() and np.isfinite(found.scores).all()):
         raise plugin.wrong("found a box or a score that is no finite number")
+    rear_m, front_m = found.ends_m.T
+    if np.isinf(found.ends_m).any() or (rear_m >= front_m).any():
+        raise plugin.wrong("found ends_m that are infinite, or a rear that is not behind the front")
     if not ((found.scores >= 0) & (found.scores <= 1)).all():
         raise plugin.wrong("found a score outside 0 to 1")
     if not np.isin(found.classes, list(ObjectClass)).all():

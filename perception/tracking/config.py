@@ -47,8 +47,8 @@ class TrackingConfig(Section):
     empty_life_s: float = Field(
         0.3,
         gt=0,
-        description="mean life of a track whose place a sensor sees to be empty; it is not "
-        "published meanwhile, and keeps its id if it was missed by mistake",
+        description="mean life of a track whose place is in plain view and which is not detected; "
+        "it is not published meanwhile, and keeps its id if it was missed by mistake",
     )
     shadow_life_s: float = Field(
         120.0, gt=0, description="mean life of a track where no sensor looks"

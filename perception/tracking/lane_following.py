@@ -137,7 +137,7 @@ def _ahead(
             between_m = (dims[n, 1] + dims[other, 1]) / 2
             gap = way_m + along_m[other] - between_m
             if gap < LOOK_AHEAD_M:
-                gap_m[n], ahead[n] = max(gap, 0.0), other
+                gap_m[n], ahead[n] = gap, other
     return gap_m, ahead, goes
 
 
@@ -166,36 +166,40 @@ def _along_m2(p: Floats, heading: float) -> float:
     return float(p[0, 0] * cos**2 + 2 * p[0, 1] * sin * cos + p[1, 1] * sin**2)
 
 
-@njit("void(float64[:,::1], float64[:,:,::1], boolean[::1], float64[::1], int64[::1])", cache=True)
-def _bound(mean: Floats, covariance: Floats, free: Bools, gap_m: Floats, ahead: Ints) -> None:
-    """Bounds the deviations along of tracks that others leave no room for.
+@njit(
+    "void(float64[:,::1], float64[:,:,::1], boolean[::1], boolean[::1], float64[::1], int64[::1])",
+    cache=True,
+)
+def _bound(
+    mean: Floats, covariance: Floats, seen: Bools, solid: Bools, gap_m: Floats, ahead: Ints
+) -> None:
+    """Bounds the deviations along of hidden tracks that others leave no room for.
 
     Who follows a vehicle that is seen keeps the gap to it within limits, whatever that does; and
-    who has one before and one behind is between them. `gap_m` and `ahead` are of `_ahead`.
+    who has one before and one behind is between them. Where there is no room for it, nothing is
+    known. `gap_m` and `ahead` are of `_ahead`.
     """
     count = mean.shape[0]
     behind = np.full(count, -1)
+    along_m2 = np.empty(count)
     for n in range(count):
+        along_m2[n] = _along_m2(covariance[n], mean[n, 2])
         leader = ahead[n]
-        if leader >= 0 and (behind[leader] < 0 or gap_m[n] < gap_m[behind[leader]]):
+        if solid[n] and leader >= 0 and (behind[leader] < 0 or gap_m[n] < gap_m[behind[leader]]):
             behind[leader] = n
     shrunk = np.eye(6)
     for n in range(count):
         leader, follower = ahead[n], behind[n]
-        if free[n] or leader < 0:
+        room_m = gap_m[n] + gap_m[follower] if follower >= 0 else np.inf
+        if seen[n] or leader < 0 or room_m < 0.0:
             continue
-        heading, v = mean[n, 2], max(mean[n, 3], 0.0)
-        variance = _along_m2(covariance[n], heading)
-        before = _along_m2(covariance[leader], mean[leader, 2])
-        most = np.inf
-        if free[leader] and gap_m[n] < STANDSTILL_M + FOLLOWS_S * v:
-            most = before + (GAP_STD_M + GAP_STD_S * v) ** 2
+        heading, v, most = mean[n, 2], max(mean[n, 3], 0.0), np.inf
+        if seen[leader] and gap_m[n] < STANDSTILL_M + FOLLOWS_S * v:
+            most = along_m2[leader] + (GAP_STD_M + GAP_STD_S * v) ** 2
         if follower >= 0:
-            after = _along_m2(covariance[follower], mean[follower, 2])
-            room_m = gap_m[n] + gap_m[follower]
-            most = min(most, max(before, after) + room_m**2 / 12)
-        if variance > most:
-            k = np.sqrt(most / variance) - 1
+            most = min(most, max(along_m2[leader], along_m2[follower]) + room_m**2 / 12)
+        if along_m2[n] > most:
+            k = np.sqrt(most / along_m2[n]) - 1
             cos, sin = np.cos(heading), np.sin(heading)
             shrunk[0, 0], shrunk[1, 1] = 1 + k * cos * cos, 1 + k * sin * sin
             shrunk[0, 1] = shrunk[1, 0] = k * sin * cos
@@ -207,8 +211,8 @@ _GRAPH = "float64[:,::1], int64[::1], float64[::1], float64[::1], int64[::1], in
 
 @njit(
     "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], float64[::1],"
-    f" float64[::1], float64[::1], float64, boolean[::1], boolean[::1], {_GRAPH}, float64[::1],"
-    " uint8[::1])",
+    " float64[::1], float64[::1], float64, boolean[::1], boolean[::1], boolean[::1],"
+    f" {_GRAPH}, float64[::1], uint8[::1])",
     cache=True,
 )
 def follow_lanes(
@@ -222,6 +226,7 @@ def follow_lanes(
     cruise: Floats,
     dt_s: float,
     free: Bools,
+    seen: Bools,
     solid: Bools,
     segments: Floats,
     first: Ints,
@@ -234,7 +239,8 @@ def follow_lanes(
 ) -> None:
     """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
 
-    Solid ones stand in the way of those behind them; free ones do only that. `dims` (N, 4) are z,
+    Solid ones stand in the way of those behind them; free ones do only that. How far off the mean
+    of a track is that was not `seen` in the last frame is bounded by others. `dims` (N, 4) are z,
     length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of `LaneGraph.lights`.
     `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
     a lane ends on the map.
@@ -247,14 +253,15 @@ def follow_lanes(
         gap_m, ahead, goes = _ahead(
             mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
         )
+        speeds = mean[:, 3].copy()
         for n in range(count):
             if lane[n] < 0:
                 continue
-            v = mean[n, 3]
+            v = speeds[n]
             if not free[n]:
                 limit = speed_mps[lane[n]]
                 wish = max(v, limit) if np.isnan(cruise[n]) else cruise[n] * limit
-                ahead_mps = max(mean[ahead[n], 3], 0.0) if ahead[n] >= 0 else 0.0
+                ahead_mps = max(speeds[ahead[n]], 0.0) if ahead[n] >= 0 else 0.0
                 v = _speed(v, wish, gap_m[n], ahead_mps, goes[n], step_s)
                 mean[n, 3] = v
             along_m[n] += v * step_s
@@ -284,7 +291,7 @@ def follow_lanes(
             stands = np.eye(6)
             stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
             spread(stands, covariance[n])
-    gap_m, ahead, goes = _ahead(
+    gap_m, ahead, _ = _ahead(
         mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
     )
-    _bound(mean, covariance, free, gap_m, ahead)
+    _bound(mean, covariance, seen, solid, gap_m, ahead)

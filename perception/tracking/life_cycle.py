@@ -35,7 +35,8 @@ HALF_CAR_M = 2.5  # a position is known where its error is less
 def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates:
     """Returns new tracks (N,) of detections with deviations (N, 3), standing, on no lane."""
     count = len(new)
-    mean = np.column_stack([new.boxes[:, :2], new.boxes[:, 6], np.zeros((count, 3))])
+    boxes = _whole_boxes(new)
+    mean = np.column_stack([boxes[:, :2], boxes[:, 6], np.zeros((count, 3))])
     covariance = np.zeros((count, 6, 6))
     cos, sin = np.cos(mean[:, 2]), np.sin(mean[:, 2])
     along, across = std[:, 0] ** 2, std[:, 1] ** 2
@@ -53,12 +54,12 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
         ids=first_id + np.arange(count),
         mean=mean,
         covariance=covariance,
-        dims=new.boxes[:, 2:6].copy(),
+        dims=boxes[:, 2:6].copy(),
         votes=votes,
         score=new.scores.copy(),
         existence=np.full(count, FIRST_EXISTENCE),
         hits=np.ones(count, np.int64),
-        wholes=np.zeros(count, np.int64),
+        wholes=(~np.isnan(new.whole_lengths_m())).astype(np.int64),
         first_ns=stamp,
         last_ns=stamp.copy(),
         lane=number,
@@ -70,6 +71,16 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
         seen=np.ones(count, np.bool_),
         owner=np.array(new.sources, object),
     )
+
+
+def _whole_boxes(new: Vehicles) -> Floats:
+    """Returns the boxes of vehicles (N, 7), from end to end where both were seen."""
+    boxes, whole = new.boxes.copy(), ~np.isnan(new.ends_m).any(axis=1)
+    along_m = new.ends_m[whole].mean(axis=1)
+    boxes[whole, 0] += along_m * np.cos(boxes[whole, 6])
+    boxes[whole, 1] += along_m * np.sin(boxes[whole, 6])
+    boxes[whole, 3] = new.whole_lengths_m()[whole]
+    return boxes
 
 
 def place_on_lanes(

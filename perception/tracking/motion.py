@@ -4,9 +4,10 @@ A state is x, y, heading, speed along it, yaw rate and acceleration, with a cova
 constant turn rate and acceleration (Schubert et al. 2008), where the acceleration fades (Singer
 1970). On lanes `lane_following` moves those that no sensor sees.
 
-Measured is the end of a vehicle that is turned to the sensor, with a one-sided error: where a
-bonnet lies between two beams, or is hidden, the box begins farther away, never nearer. So an end
-that is too far away weighs the less, the farther it is (Geman and McClure 1987).
+Measured is the end of a vehicle that was seen, or else the one that is turned to the nearest
+sensor, with a one-sided error: where a bonnet lies between two beams, or is hidden, the box begins
+farther away, never nearer. So an end that is too far away weighs the less, the farther it is (Geman
+and McClure 1987).
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ ACCEL_LIFE_S = 4.0  # of an acceleration
 STEADY_ACCEL_STD_MPS2 = 1.5  # of an unknown one
 ROUGH = 0.02  # share of an acceleration's variance that changes at once
 ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
-END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the end turned to the sensor, and by its range squared
+END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the measured end, and by its range squared
 CROSSWISE_RAD = 0.9  # a box that is turned by more is of two vehicles abreast: it lies across ...
 CROSSWISE_STD_M = 2.0  # ... its track and says little of where that is ...
 CROSSWISE_M = 3.0  # ... if it is so long ...
@@ -236,8 +237,8 @@ def _is_crosswise(turned: float, variance: float, length_m: float, is_pose: floa
 
 
 @njit(
-    f"void({_STATE}, float64[::1], boolean[::1], int64[::1], float64[:,::1], float64[:,::1],"
-    " float64[:,::1], float64[:,::1])",
+    f"boolean[::1]({_STATE}, float64[::1], boolean[::1], int64[::1], float64[:,::1],"
+    " float64[:,::1], float64[:,::1], float64[:,::1])",
     cache=True,
 )
 def correct(
@@ -250,15 +251,19 @@ def correct(
     std: Floats,
     seen: Floats,
     ends_m: Floats,
-) -> None:
+) -> Bools:
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
-    A box's heading may be reversed; a track that keeps going backwards has a reversed heading
-    itself, unless it is `on_lane` (N,): there the road tells it. `seen` (M, 3) is as of
-    `deviations`. Along, what counts is the end that is turned to the sensor, as of a vehicle of
-    `length_m` (N,): the other is hidden. A box that lies across its track is that of two vehicles
-    abreast, and corrects little.
+    A box's heading may be reversed. A track that keeps going backwards has a reversed heading
+    itself; one that is `on_lane` (N,), where the road tells it, only if its box is turned the other
+    way too. `seen` (M, 3) is as of `deviations`, `ends_m` (M, 2) as of `Vehicles`. Along, what
+    counts is an end, as of a vehicle of `length_m` (N,): see `_middle`. A box that lies across its
+    track is that of two vehicles abreast, and corrects little.
+
+    Returns:
+        Which boxes (M,) are of two vehicles abreast: they say nothing of a size.
     """
+    abreast = np.zeros(tracks.shape[0], np.bool_)
     axes = np.zeros((3, 6))
     axes[2, 2] = 1.0
     for m in range(tracks.shape[0]):
@@ -271,19 +276,20 @@ def correct(
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
             _correct_by(mean[n], p, axes[0], cos * x + sin * y, CROSSWISE_STD_M**2)
             _correct_by(mean[n], p, axes[1], cos * y - sin * x, CROSSWISE_STD_M**2)
+            abreast[m] = True
             continue
         for axis in range(2):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
             off, deviation = axes[axis, 0] * x + axes[axis, 1] * y, std[m, axis]
             if axis == 0 and seen[m, 2] == 0.0:
                 side, middle_m = _middle(boxes[m, 3], length_m[n], seen[m, 0], ends_m[m])
+                off += middle_m
                 if seen[m, 1] > 0.0:
-                    off += middle_m
                     deviation = _of_end(side * off, abs(off), seen[m, 1], p, axes[0])
             _correct_by(mean[n], p, axes[axis], off, deviation**2)
         turned = _half_turn(boxes[m, 6] - mean[n, 2])
         _correct_by(mean[n], p, axes[2], turned, std[m, 2] ** 2)
-        if on_lane[n]:
+        if on_lane[n] and np.cos(boxes[m, 6] - mean[n, 2]) >= 0.0:
             mean[n, 3] = max(mean[n, 3], -BACKWARDS_MPS)
         elif mean[n, 3] < -BACKWARDS_MPS:
             mean[n, 2] += np.pi
@@ -293,6 +299,7 @@ def correct(
                 p[i, :] *= -1
                 p[:, i] *= -1
         mean[n, 2] = (mean[n, 2] + np.pi) % (2 * np.pi) - np.pi
+    return abreast
 
 
 @njit(f"void({_STATE}, int64[::1], float64[::1])", cache=True)

@@ -64,7 +64,8 @@ def _draw(points: Floats32, sensor: Floats, ground: Bools) -> None:
             x, y = points[index, 0] - sensor[0], points[index, 1] - sensor[1]
             ring = int(np.hypot(x, y) / RING_M)
             if ring < RINGS:
-                ground[int(np.arctan2(y, x) * (SECTORS / (2 * np.pi))) % SECTORS, ring] = True
+                sector = int(np.floor(np.arctan2(y, x) * (SECTORS / (2 * np.pi))))
+                ground[sector % SECTORS, ring] = True
 
 
 @njit("boolean(boolean[:,::1], int64, int64, int64, int64)", cache=True, nogil=True)

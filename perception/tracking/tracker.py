@@ -126,7 +126,7 @@ class Tracker:
         apart_m = np.linalg.norm(states.mean[:, None, :2] - places[None, :, :2], axis=2)
         doubted = (apart_m <= reach_m).any(axis=1)
         doubted |= np.array([owner in agents for owner in states.owner], np.bool_)
-        states.hits[doubted] = 0
+        states.hits[doubted] = states.wholes[doubted] = 0
 
     def adopt(self, time_ns: int, others: Tracks) -> None:
         """Adopts another tracker's tracks: ids of the same vehicles, and vehicles unknown here.
@@ -160,7 +160,7 @@ class Tracker:
             steady = np.zeros(len(adopted))
             found_cruise = cruise(adopted.cruise, others.speeds_mps, steady, limit_mps, 0.0)
             adopted.cruise = np.where(adopted.lane >= 0, found_cruise, np.nan)
-        adopted.hits[:] = self._config.confirm_hits
+        adopted.hits[:] = max(self._config.confirm_hits, SIZES)
         adopted.first_ns = others.first_seen_ns.copy()
         adopted.last_ns = time_ns - np.round(others.coasted_s * 1e9).astype(np.int64)
         adopted.seen = others.coasted_s == 0
@@ -195,8 +195,8 @@ class Tracker:
         solid = states.hits >= self._config.confirm_hits
         follow_lanes(
             states.mean, states.covariance, states.dims, states.lane, states.along_m, states.off_m,
-            states.existence, states.cruise, dt_s, free, solid, lanes.segments, lanes.first,
-            lanes.length_m, lanes.speed_mps, lanes.leads, lanes.followers, self._trips,
+            states.existence, states.cruise, dt_s, free, states.seen, solid, lanes.segments,
+            lanes.first, lanes.length_m, lanes.speed_mps, lanes.leads, lanes.followers, self._trips,
             lanes.lights(signals),
         )  # fmt: skip
 
@@ -211,7 +211,7 @@ class Tracker:
         if not len(tracks):
             return
         seen = observed.take(matched)
-        motion.correct(
+        abreast = motion.correct(
             states.mean,
             states.covariance,
             np.ascontiguousarray(states.dims[:, 1]),
@@ -228,27 +228,25 @@ class Tracker:
         states.last_ns[tracks] = time_ns
         states.score[tracks] = seen.scores
         states.existence[tracks] = raised_existence(states.existence[tracks])
-        dims = seen.boxes[:, 2:6]
-        new = 1 / np.minimum(states.hits[tracks], SIZES)[:, None]
-        states.dims[tracks, 2:] += new * (dims[:, 2:] - states.dims[tracks, 2:])
-        self._measure_lengths(tracks, seen)
-        states.dims[tracks, 0] = dims[:, 0]
+        self._measure(tracks[~abreast], seen.take(~abreast))
         states.votes[tracks, seen.classes] += seen.scores
         for n, source in zip(tracks.tolist(), seen.sources, strict=True):
             if source != LIDAR:
                 states.owner[n] = source
 
-    def _measure_lengths(self, tracks: Ints, seen: Vehicles) -> None:
-        """Takes the mean of lengths; once both ends were seen, of those alone."""
+    def _measure(self, tracks: Ints, seen: Vehicles) -> None:
+        """Takes the means of sizes; of lengths, once both ends were seen, of those alone."""
         states = self._states
-        length_m = seen.ends_m[:, 1] - seen.ends_m[:, 0]
+        length_m = seen.whole_lengths_m()
         whole = ~np.isnan(length_m)
         states.wholes[tracks] += whole
-        counts = np.where(states.wholes[tracks] > 0, states.wholes[tracks], states.hits[tracks])
-        new = 1 / np.minimum(counts, SIZES)
-        new[~whole & (states.wholes[tracks] > 0)] = 0.0
-        length_m = np.where(whole, length_m, seen.boxes[:, 3])
-        states.dims[tracks, 1] += new * (length_m - states.dims[tracks, 1])
+        wholes, hits = states.wholes[tracks], states.hits[tracks]
+        new = np.column_stack([np.where(wholes > 0, wholes, hits), hits, hits])
+        new = 1 / np.minimum(new, SIZES)
+        new[~whole & (wholes > 0), 0] = 0.0
+        sizes_m = np.column_stack([np.where(whole, length_m, seen.boxes[:, 3]), seen.boxes[:, 4:6]])
+        states.dims[tracks, 1:] += new * (sizes_m - states.dims[tracks, 1:])
+        states.dims[tracks, 0] = seen.boxes[:, 2]
 
     def _is_new(self, observed: Vehicles, pairs: Ints) -> Bools:
         """Whether each detection is a vehicle of its own, not another box of one that is known."""

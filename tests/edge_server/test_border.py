@@ -17,7 +17,6 @@ from edge_server.lanes import LaneIndex
 from edge_server.pipeline import Border, Count
 from edge_server.tracking import Track
 from perception.detector import Vehicles
-from perception.roadway import Roadway
 from protocol.messages import BorderObjects, Detections
 from protocol.regions import RegionMap, regions_of
 from protocol.roadmap import Lane, RoadMap
@@ -28,8 +27,6 @@ from tests.messages import no_tracks
 
 CONFIG = EdgeConfig()
 NOWHERE = np.zeros((0, 2))
-LEVEL, NO_DECKS = np.zeros((1, 1), np.float32), np.zeros((0, 1, 1), np.float32)
-ROADWAY = Roadway((0.0, 0.0), 1.0, LEVEL, LEVEL, NO_DECKS, NO_DECKS)
 
 
 @cache

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from perception.arrays import Floats
-from perception.detector import PluginDetector, Vehicles
+from perception.detector import PluginDetector, Vehicles, checked_vehicles
 from protocol.errors import ConfigError
 from protocol.plugins import Plugin
 
@@ -45,3 +47,21 @@ def test_every_class_and_scores_from_0_to_1_are_taken() -> None:
 def test_other_scores_and_classes_are_refused_by_the_plugins_name(scores, classes, fault) -> None:
     with pytest.raises(ConfigError, match=f"own of package.*{fault}"):
         detect(scores, classes)
+
+
+@pytest.mark.parametrize(
+    ("ends_m", "fault"),
+    [
+        ([[-2.0, 2.0, 1.0]], r"ends_m \(1, 3\).*must be .*\(N, 2\)"),
+        ([[-np.inf, 2.0]], "infinite"),
+        ([[2.0, -2.0]], "a rear that is not behind the front"),
+    ],
+)
+def test_ends_that_are_none_are_refused_by_the_plugins_name(ends_m, fault) -> None:
+    finds = _Finds(np.array([0.5]), [0])
+    for known in ([[np.nan, np.nan]], [[-2.0, np.nan]], [[-2.0, 2.0]]):
+        finds._found = replace(finds._found, ends_m=np.array(known))
+        assert len(checked_vehicles(Plugin("own of package 1.0", None), finds._found)) == 1
+    wrong = replace(finds._found, ends_m=np.array(ends_m))
+    with pytest.raises(ConfigError, match=f"own of package.*{fault}"):
+        checked_vehicles(Plugin("own of package 1.0", None), wrong)

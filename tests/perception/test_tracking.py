@@ -214,6 +214,16 @@ def test_two_vehicles_abreast_that_are_seen_as_one_across_the_road_drive_on() ->
     assert tracks.track_ids.tolist() == ids
 
 
+def test_the_box_of_two_vehicles_abreast_says_nothing_of_their_lengths() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        tracker.step(k * DT, cars((1.0 * k, 0)), NOBODY)
+    both = cars((19.5, 0.5, np.pi / 2))
+    both.boxes[0, 3], both.ends_m[0] = 5.3, (-2.65, 2.65)
+    tracks = tracker.step(20 * DT, both, NOBODY)
+    assert tracks.boxes[:, 3] == pytest.approx([4.5])
+
+
 def test_a_vehicle_whose_place_another_track_seems_to_take_for_a_frame_keeps_its_id() -> None:
     tracker = Tracker(CONFIG, STRAIGHT)
     for k in range(20):
@@ -381,6 +391,30 @@ def test_who_is_hidden_between_two_that_stand_stays_known() -> None:
     assert tracks.position_std_m[tracks.coasted_s > 0] < 1.5
 
 
+def test_who_is_hidden_where_there_is_no_room_for_it_does_not_become_certain() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(10):
+        tracker.step(k * DT, cars((100, 0), (107, 0), (114, 0)), NOBODY)
+    for k in range(10, 400):
+        tracks = tracker.step(k * DT, cars((103, 0), (111, 0)), NOBODY)
+    assert (tracks.position_std_m[tracks.coasted_s > 0] > 0.7).all()
+
+
+def test_who_was_born_first_does_not_matter_to_those_that_follow_each_other_unseen() -> None:
+    ends_m = []
+    for born_first in (0, 1):
+        tracker = Tracker(CONFIG, STRAIGHT)
+        for k in range(30):
+            # one begins a frame before the other
+            places = [(60.0 + 0.8 * k, 0.0), (80.0 + 0.8 * k, 0.0)]
+            seen = cars(*places) if k else cars(places[born_first])
+            tracker.step(k * DT, seen + cars((150, 0)), NOBODY)
+        for k in range(30, 60):
+            tracks = tracker.step(k * DT, cars((150, 0)), NOBODY)
+        ends_m.append(np.sort(tracks.boxes[:, 0]))
+    np.testing.assert_allclose(*ends_m, atol=0.3)
+
+
 @pytest.mark.parametrize(("gap_m", "is_known"), [(12.0, True), (60.0, False)])
 def test_who_is_hidden_behind_a_vehicle_that_is_seen_keeps_the_gap_to_it(gap_m, is_known) -> None:
     """Where there is much room ahead, nobody knows how fast it drives."""
@@ -401,6 +435,15 @@ def test_on_a_lane_a_box_that_falls_back_turns_nobody_round(lanes) -> None:
         tracks = tracker.step(k * DT, cars((x_m, 0)), NOBODY)
     assert np.cos(tracks.boxes[0, 6]) == pytest.approx(1 if lanes else -1, abs=0.01)
     assert tracks.speeds_mps[0] >= -motion.BACKWARDS_MPS
+
+
+def test_a_first_box_that_looked_the_other_way_puts_nobody_on_the_oncoming_lane() -> None:
+    there, back = lane("a", (0, 0), (400, 0)), lane("b", (400, 3.5), (0, 3.5))
+    tracker = Tracker(CONFIG, road(there, back))
+    for k in range(20):
+        tracks = tracker.step(k * DT, cars((50 + 0.5 * k, 0, 0.0 if k else np.pi)), NOBODY)
+    assert np.cos(tracks.boxes[0, 6]) == pytest.approx(1, abs=0.01)
+    assert tracks.speeds_mps == pytest.approx([5.0], abs=0.5)
 
 
 def test_a_hidden_vehicle_leaves_the_map_where_its_lane_ends() -> None:
@@ -589,14 +632,36 @@ def test_an_end_that_was_seen_tells_where_a_vehicle_is_on_whichever_side_the_sen
     assert tracks.speeds_mps[0] == pytest.approx(10.0, abs=0.2)
 
 
-def test_a_vehicle_is_as_long_as_it_was_where_both_ends_were_seen() -> None:
+@pytest.mark.parametrize("sensors", [NOBODY, None, plain_view((0.0, 0.0))])
+def test_a_vehicle_is_as_long_as_it_was_where_both_ends_were_seen(sensors) -> None:
+    """Its boxes, of a usual car's length, begin at its rear."""
     tracker, lengths_m = Tracker(CONFIG, STRAIGHT), []
     for k in range(30):
-        seen = cars((40.0 + k, 0))
-        if 10 <= k < 20:
-            seen.ends_m[0] = (-2.0, 1.9)
-        lengths_m.append(tracker.step(k * DT, seen, NOBODY).boxes[0, 3])
+        seen = cars((40.3 + k, 0))
+        seen.ends_m[0] = (-2.25, 1.65) if 10 <= k < 20 else (-2.25, np.nan)
+        tracks = tracker.step(k * DT, seen, sensors)
+        lengths_m.append(tracks.boxes[0, 3])
     np.testing.assert_allclose(lengths_m, [4.5] * 10 + [3.9] * 20)
+    assert tracks.boxes[0, 0] == pytest.approx(69, abs=0.1)
+
+
+def test_a_vehicle_that_is_seen_whole_at_first_is_as_long_and_where_its_ends_are() -> None:
+    seen = cars((10, 20, np.pi / 2))
+    seen.ends_m[0] = (-2.25, 1.5)
+    (box,) = Tracker(CONFIG).step(0, seen, NOBODY).boxes
+    np.testing.assert_allclose(box[[0, 1, 3]], [10, 19.625, 3.75])
+
+
+def test_whoever_reports_its_length_is_so_long_until_it_is_distrusted() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(20):
+        seen = cars((50, 0), source="liar")
+        seen.boxes[0, 3] = 18.0
+        tracks = tracker.step(k * DT, seen, NOBODY)
+    assert tracks.boxes[0, 3] == 18.0
+    tracker.distrust({"liar"}, np.zeros((0, 2)), 100.0)
+    tracks = tracker.step(20 * DT, cars((50, 0)), NOBODY)
+    assert tracks.boxes[0, 3] == 4.5
 
 
 def test_a_lorry_seen_in_parts_keeps_its_id() -> None:
