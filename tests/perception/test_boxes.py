@@ -80,7 +80,7 @@ def test_both_ends_are_known_of_a_car_that_is_seen_whole_near_by(
 ) -> None:
     car = car_shell([x, 1.75, 0, 0, 0, 0], (0.0, 0.0), np.random.default_rng(1), points=900)
     (ends_m,) = fit(roadway, car[car[:, 2] > 0.2]).ends_m
-    known = [rear_is_known, not rear_is_known or x < 25]
+    known = [rear_is_known, not rear_is_known or x < 18]
     assert (~np.isnan(ends_m)).tolist() == known
     np.testing.assert_allclose(ends_m[known], np.array([-2.25, 2.25])[known], atol=0.2)
 
