@@ -51,9 +51,13 @@ _INSIDE = 0.9  # of the probability, in the interval
 
 @dataclass(frozen=True, slots=True)
 class LaneQueue:
-    """Vehicles that queue on a lane: expectation, and the interval that holds 90 %."""
+    """Vehicles that queue on a lane: expectation, median, and the interval that holds 90 %.
+
+    No other number is less far off on average than the median.
+    """
 
     mean: float
+    median: int
     low: float
     high: float
 
@@ -148,7 +152,8 @@ class QueueFilter:
     def queue(self, lane: int) -> LaneQueue:
         """Returns the estimate of a lane's queue."""
         numbers = self._reporting_weights @ self._joint[:, lane].sum(axis=1)
-        return LaneQueue(float(numbers @ self._numbers), *shortest_interval(numbers))
+        median = int(np.searchsorted(np.cumsum(numbers), 0.5))
+        return LaneQueue(float(numbers @ self._numbers), median, *shortest_interval(numbers))
 
     def expected(self) -> Floats:
         """Returns the expected queues (L,)."""

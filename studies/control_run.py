@@ -49,8 +49,8 @@ class ControlRow(JsonRow):
     and SUMO's own control); `stops` and `co2_g` (by SUMO's emission model) are means of the
     vehicles.
 
-    Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error in
-    vehicles, `queue_inside` how often the interval that is to hold it by 90 % did.
+    Of lanes whose queues a policy had to estimate, `queue_error` is the mean absolute error of
+    their medians in vehicles, `queue_inside` how often the interval that is to hold it by 90 % did.
     """
 
     net: str
@@ -265,7 +265,7 @@ class _Controller:
         found = []
         for index in np.flatnonzero(~queues.is_seen).tolist():
             queue, number = queues.queue(index), standing[incoming[index]]
-            found.append((abs(queue.mean - number), queue.low <= number <= queue.high))
+            found.append((abs(queue.median - number), queue.low <= number <= queue.high))
         return found
 
     def _counts(self, frame: int, now_ns: int, truth: _Truth) -> LaneCounts:

@@ -155,8 +155,17 @@ def test_whatever_is_reported_probabilities_stay_probabilities(frames, share: fl
         take(known, second, *rows, coverage=dict.fromkeys(LANES[:3], share))
         for lane in range(len(LANES)):
             queue = known.queue(lane)
-            assert 0 <= queue.low <= queue.high <= 60
+            assert 0 <= queue.low <= queue.median <= queue.high <= 60
             assert 0 <= queue.mean <= 60
+
+
+def test_half_of_the_probability_lies_on_either_side_of_the_median() -> None:
+    known = QueueFilter(MODEL, 360, 1900)
+    for second in range(40):
+        take(known, second)
+        numbers = known._reporting_weights @ known._joint[:, LANE].sum(axis=1)
+        median = known.queue(LANE).median
+        assert numbers[:median].sum() <= 0.5 <= numbers[: median + 1].sum() + 1e-9
 
 
 @given(st.lists(st.floats(0.001, 1), min_size=1, max_size=20))
