@@ -412,6 +412,15 @@ _LIST = (
         of_rows=True,
     ),
     Figure(
+        "counts",
+        f"[ -e hard15 ] || {_HARD15} >&2; "
+        "cpnet study $ROOT/docs/figures/counts.yaml --out counts >&2; " + _rows_of("counts"),
+        (*STUDY, "cpnet/realism"),
+        15,
+        (Part("all", "docs/tracking.md", worlds.counts),),
+        of_rows=True,
+    ),
+    Figure(
         "realism",
         "cpnet study $ROOT/docs/figures/realism.yaml --out realism >&2; printf '{\"runs\": '; "
         "python -c 'import json, pyarrow.parquet as p; "
@@ -470,6 +479,7 @@ _LIST = (
     ),
     _network("corridor", 15, "max_wave"),
     _network("grid", 25),
+    _network("town", 45),
     _loop("t", "docs/control.md", 40),
     _loop("paper", "docs/control.md", 55),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),

@@ -80,6 +80,35 @@ _OF_TRACKS: tuple[tuple[str, float, int, Callable[[dict[str, Any]], float | None
     ("coasted for 3 s, within 2 m, %", 100, 1, lambda row: row["coasted_3s"]["within_2m"]),
 )
 
+
+
+def counts(rows: Rows) -> Table:
+    """Returns a line for each share of CAVs; differences are paired by network."""
+    heads = ["E-CVPR without tracks, %", "with tracks, %", "in range of a LiDAR, %"]
+    errors = ["error of a lane's count, vehicles, without", "with", "less, %"]
+    table = [["CAVs, %", *heads, *errors]]
+    for share in sorted({row["traffic.cav_rate"] for row in rows}):
+        without, tracked = (
+            sorted((r for r in rows if _tracked(r, share, on)), key=lambda row: row["network"])
+            for on in (False, True)
+        )
+        pairs = list(zip(without, tracked, strict=True))
+        table.append(
+            [
+                f"{100 * share:g}",
+                *(interval([100 * row["e_cvpr"] for row in own], 1) for own in (without, tracked)),
+                interval([100 * row["in_range_share"] for row in tracked], 1),
+                *(interval([row["count_error"] for row in own], 3) for own in (without, tracked)),
+                interval([100 * (1 - b["count_error"] / a["count_error"]) for a, b in pairs], 1),
+            ]
+        )
+    return table
+
+
+def _tracked(row: dict[str, Any], cav_rate: float, tracked: bool) -> bool:
+    return row["traffic.cav_rate"] == cav_rate and row["edge.tracking.enabled"] == tracked
+
+
 _WORLDS = {
     "paper": "as in Chen et al. (`paper`)",
     "all: hard": "all kinds of traffic, rain (`hard`)",
