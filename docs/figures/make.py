@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from registry import FIGURES, LEARNED, OTHER_COMMANDS, Figure, Part
-from same_rows import compared
+from same_rows import compared, compared_policies
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
@@ -120,19 +120,21 @@ def compare_rows(names: list[str]) -> None:
     """Marks the older figures of rows whose code still gives the rows that were measured.
 
     Runs of a learned detector count for the figures that show one, so do runs with tracks.
+    Figures of policies on SUMO alone are compared by runs of these.
 
     Raises:
         subprocess.CalledProcessError: a run failed, or a commit is not there any more.
     """
-    older: dict[str, list[Figure]] = {}
+    older: dict[tuple[str, bool], list[Figure]] = {}
     for figure in FIGURES.values():
         record = load(figure)
-        chosen = figure.of_rows and (not names or figure.name in names)
+        chosen = (figure.of_rows or figure.of_policies) and (not names or figure.name in names)
         if chosen and record and record["commit"] and not is_fresh(figure):
-            older.setdefault(record["commit"], []).append(figure)
-    for commit, figures in older.items():
+            older.setdefault((record["commit"], figure.of_policies), []).append(figure)
+    for (commit, of_policies), figures in older.items():
         now = _git("rev-parse", "HEAD")
-        every = compared(ROOT, WORK / "same", commit, now)
+        comparison = compared_policies if of_policies else compared
+        every = comparison(ROOT, WORK / "same", commit, now)
         for figure in figures:
             runs = [
                 run

@@ -64,7 +64,7 @@ class Figure:
     The shell runs it in `runs/figures`, `$ROOT` is the repository. Without a command it cannot be
     made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast;
     if `learned`, some of these of the detector `pointpillars`; if not `tracked`, all of these of
-    detection alone.
+    detection alone. One `of_policies` tells of what signal policies gave on SUMO alone.
     """
 
     name: str
@@ -75,6 +75,7 @@ class Figure:
     files: tuple[str, ...] = ()
     read: Callable[[str], Any] = field(default=json.loads)
     of_rows: bool = False
+    of_policies: bool = False
     learned: bool = False
     tracked: bool = True
 
@@ -133,6 +134,7 @@ def _network(name: str, minutes: int, *more: str) -> Figure:
         (*CONTROL, "studies/builtin/control_city.yaml"),
         minutes,
         (Part("all", "docs/control.md", comparison.tuned_networks),),
+        of_policies=True,
     )
 
 
@@ -469,6 +471,7 @@ _LIST = (
         CONTROL,
         8,
         (Part("all", "docs/comparison.md", comparison.tuned),),
+        of_policies=True,
     ),
     Figure(
         "demands",
@@ -476,6 +479,7 @@ _LIST = (
         CONTROL,
         20,
         (Part("all", "docs/control.md", comparison.tuned),),
+        of_policies=True,
     ),
     _network("corridor", 15, "max_wave"),
     _network("grid", 25),

@@ -13,10 +13,18 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 RUNS = "docs/figures/same_rows.yaml"
+POLICIES = (
+    "bench control --net t_junction --net moving_peak --net corridor --net grid --policies "
+    "webster,actuated,max_pressure,max_wave,predictive --duration 300 --processes 2 --json"
+)
+"""What figures of signal policies on SUMO alone are compared by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +49,9 @@ def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
 
     work.mkdir(parents=True, exist_ok=True)
     shutil.copy(root / RUNS, work)
-    made, before = _made(root, work, now), _made_at(root, work, then)
+    made = _made(root, work, now)
+    with _tree_of(root, work, then) as tree:
+        before = _made(tree, work, then)
     return [
         Compared(
             title,
@@ -53,6 +63,41 @@ def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
     ]
 
 
+def compared_policies(root: Path, work: Path, then: str, now: str) -> list[Compared]:
+    """Compares what policies do on SUMO alone, as `compared` does runs with perception.
+
+    Raises:
+        subprocess.CalledProcessError: a run failed, or there is no such commit.
+    """
+    work.mkdir(parents=True, exist_ok=True)
+    after = _benched(root, work, now)
+    with _tree_of(root, work, then) as tree:
+        before = _benched(tree, work, then)
+    return [
+        Compared(title, "none", False, [] if before.get(title) == row else ["other rows"])
+        for title, row in after.items()
+    ]
+
+
+def _benched(root: Path, work: Path, commit: str) -> dict[str, Any]:
+    """Returns the rows of `POLICIES`, without times, by net and policy; what was made is kept."""
+    digest = hashlib.sha256(POLICIES.encode()).hexdigest()
+    out = work / f"policies-{commit[:7]}-{digest[:7]}.json"
+    if not out.exists():
+        done = subprocess.run(
+            [sys.executable, "-m", "cpnet", *POLICIES.split()],
+            cwd=work,
+            env=os.environ | {"PYTHONPATH": str(root)},
+            stdout=subprocess.PIPE,
+            check=True,
+        )
+        out.write_bytes(done.stdout)
+    return {
+        f"{row['net']}, {row['policy']}": {k: v for k, v in row.items() if "decide" not in k}
+        for row in json.loads(out.read_text("utf-8"))
+    }
+
+
 @dataclass(frozen=True, slots=True)
 class _Made:
     run: Path
@@ -60,14 +105,15 @@ class _Made:
     is_tracked: bool
 
 
-def _made_at(root: Path, work: Path, commit: str) -> dict[str, _Made]:
-    """Makes the runs with the code of a commit, in a worktree of its own; see `_made`."""
+@contextmanager
+def _tree_of(root: Path, work: Path, commit: str) -> Iterator[Path]:
+    """Yields a worktree of its own with the code of a commit."""
     tree = work / f"tree-{commit[:7]}"
     if not tree.exists():
         add = ["git", "worktree", "add", "-q", "--detach", str(tree), commit]
         subprocess.run(add, cwd=root, check=True)
     try:
-        return _made(tree, work, commit)
+        yield tree
     finally:
         subprocess.run(["git", "worktree", "remove", "--force", str(tree)], cwd=root, check=True)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import re
+import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -138,6 +140,27 @@ def test_what_tracks_give_ages_no_figure_of_detection_alone(make, monkeypatch, t
         "ecvpr": True,
         "delay": False,
     }
+
+
+def test_a_figure_of_policies_stays_fresh_where_these_give_the_same_rows(
+    make, monkeypatch, tmp_path
+) -> None:
+    figure = make.FIGURES["grid"]
+    record = make.load(figure) | {"sources": "before", "commit": "0123456789", "same": {}}
+    monkeypatch.setattr(make, "FOLDER", tmp_path)
+    monkeypatch.setattr(make, "FIGURES", {"grid": figure})
+    make.save(figure, record)
+    monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
+    same_rows = sys.modules["same_rows"]
+    monkeypatch.setattr(same_rows, "_tree_of", lambda *_: nullcontext(tmp_path))
+    rows = {commit: {"grid, webster": {"delay_s": 7.0}} for commit in ("0123456789", "c0ffee0123")}
+    monkeypatch.setattr(same_rows, "_benched", lambda root, work, commit: rows[commit])
+    rows["c0ffee0123"]["grid, webster"] = {"delay_s": 7.1}
+    make.compare_rows([])
+    assert not make.is_fresh(figure)
+    rows["c0ffee0123"]["grid, webster"] = {"delay_s": 7.0}
+    make.compare_rows([])
+    assert make.is_fresh(figure)
 
 
 def test_a_figure_that_shows_a_learned_detector_is_older_than_its_weights(make) -> None:

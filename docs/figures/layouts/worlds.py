@@ -81,7 +81,6 @@ _OF_TRACKS: tuple[tuple[str, float, int, Callable[[dict[str, Any]], float | None
 )
 
 
-
 def counts(rows: Rows) -> Table:
     """Returns a line for each share of CAVs; differences are paired by network."""
     heads = ["E-CVPR without tracks, %", "with tracks, %", "in range of a LiDAR, %"]
