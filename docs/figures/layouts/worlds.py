@@ -89,7 +89,7 @@ def counts(rows: Rows) -> Table:
     for share in sorted({row["traffic.cav_rate"] for row in rows}):
         without, tracked = (
             sorted((r for r in rows if _tracked(r, share, on)), key=lambda row: row["network"])
-            for on in (False, True)
+            for on in ("false", "true")
         )
         pairs = list(zip(without, tracked, strict=True))
         table.append(
@@ -104,7 +104,7 @@ def counts(rows: Rows) -> Table:
     return table
 
 
-def _tracked(row: dict[str, Any], cav_rate: float, tracked: bool) -> bool:
+def _tracked(row: dict[str, Any], cav_rate: float, tracked: str) -> bool:
     return row["traffic.cav_rate"] == cav_rate and row["edge.tracking.enabled"] == tracked
 
 
