@@ -23,6 +23,7 @@ from perception.object_classes import (
     classes_of,
     is_car,
     is_van,
+    lengths_by_width_m,
     usual_m,
 )
 from perception.parallel import each, threads
@@ -49,6 +50,8 @@ END_M = 0.3  # this close to a box's end, points belong to it
 # before a rear and before a front that begins so high.
 HIDDEN_OF_CARS_M = np.array([[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]])
 HIDDEN_OF_VANS_M = np.array([[1.1, 0.0, 0.0], [1.3, 0.1, 1.1], [1.8, 0.2, 1.8]])
+WIDTHS_M, WIDTH_RANGE_M = (1.55, 2.0), 35.0  # of a car that is seen from side to side, so near
+CUT = 0.0043  # of the range: of a width, between the outermost points and the sides
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -85,7 +88,8 @@ def fit_boxes(
     ends_m = np.full((clusters.count, 2), np.nan)
     if completed:
         seen_m = extents[:, :, 0].copy()
-        size_m = usual_m(kinds)
+        away_m = _away_m(sensors, middles)
+        size_m = _usual_m(kinds, across_m, away_m)
         over_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
         vans = is_van(kinds)
         cars = is_car(kinds) | vans
@@ -98,7 +102,7 @@ def fit_boxes(
         in_middle = np.column_stack([is_over & ~cars, is_over])
         ahead = _share_ahead(extents, middles, yaws, sensors, in_middle)
         _complete(extents, ahead, size_m, hidden_m)
-        is_whole = cars & (along_m >= WHOLE_M) & (_away_m(sensors, middles) < WHOLE_RANGE_M)
+        is_whole = cars & (along_m >= WHOLE_M) & (away_m < WHOLE_RANGE_M)
         is_end = _is_end(over_m, ahead[:, 0], is_whole)
         ends_m[is_end] = (seen_m - extents[:, :, 0].mean(axis=1)[:, None])[is_end]
         extents[:, 0, 2] = floor_m
@@ -160,6 +164,17 @@ def _is_line(shapes: Shapes, height_m: Floats) -> Bools:
 def certainty(members: Ints) -> Floats:
     """Returns the scores (C,) of clusters of so many points."""
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
+
+
+def _usual_m(kinds: Ints, across_m: Floats, away_m: Floats) -> Floats:
+    """Returns the usual sizes (C, 3) of clusters; of cars near by that of their width."""
+    size_m = usual_m(kinds)
+    width_m = across_m + CUT * away_m
+    told = is_car(kinds) & (away_m < WIDTH_RANGE_M)
+    told &= (width_m > WIDTHS_M[0]) & (width_m < WIDTHS_M[1])
+    size_m[told, 0] = lengths_by_width_m(width_m[told])
+    size_m[told, 1] = width_m[told]
+    return size_m
 
 
 def _turned_rad(yaws: Floats, road_yaws: Floats) -> Floats:

@@ -52,6 +52,22 @@ def test_a_car_seen_from_the_junction_gets_its_own_box(
     assert abs(found.boxes[0, 6] - yaw) < np.radians(5)
 
 
+@pytest.mark.parametrize(
+    ("wide_m", "x", "length_m"),
+    [(1.7, 30, 3.9), (1.8, 30, 4.43), (1.9, 30, 4.8), (1.7, 60, 4.5), (1.4, 30, 4.5)],
+)
+def test_of_a_car_near_by_the_width_tells_the_length(
+    roadway: Roadway, wide_m: float, x: float, length_m: float
+) -> None:
+    rng = np.random.default_rng(1)
+    seen_m = wide_m - 0.0043 * x  # no point lies on the very edge
+    low = [x, 1.75 - seen_m / 2, 0.3]
+    rear = rng.uniform(low, [x + 0.1, 1.75 + seen_m / 2, 1.45], (900, 3))
+    (box,) = fit(roadway, rear).boxes
+    assert box[3] == pytest.approx(length_m, abs=0.1)
+    assert box[0] == pytest.approx(x + length_m / 2, abs=0.1)
+
+
 def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> None:
     rng = np.random.default_rng(1)
     rear = rng.uniform([30, 0.85, 0.3], [30.1, 2.65, 1.5], (40, 3))
