@@ -50,7 +50,7 @@ END_M = 0.3  # this close to a box's end, points belong to it
 # before a rear and before a front that begins so high.
 HIDDEN_OF_CARS_M = np.array([[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]])
 HIDDEN_OF_VANS_M = np.array([[1.1, 0.0, 0.0], [1.3, 0.1, 1.1], [1.8, 0.2, 1.8]])
-WIDTHS_M, WIDTH_RANGE_M = (1.55, 2.0), 35.0  # of a car that is seen from side to side, so near
+NARROW_M, WIDTH_RANGE_M = (1.55, 1.8), 35.0  # a car seen from side to side, so near: it is short
 CUT = 0.0043  # of the range: of a width, between the outermost points and the sides
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
@@ -167,11 +167,14 @@ def certainty(members: Ints) -> Floats:
 
 
 def _usual_m(kinds: Ints, across_m: Floats, away_m: Floats) -> Floats:
-    """Returns the usual sizes (C, 3) of clusters; of cars near by that of their width."""
+    """Returns the usual sizes (C, 3) of clusters; of narrow cars near by that of their width.
+
+    Wide ones are often two sensors' points that do not lie on each other, or a box that is turned.
+    """
     size_m = usual_m(kinds)
     width_m = across_m + CUT * away_m
     told = is_car(kinds) & (away_m < WIDTH_RANGE_M)
-    told &= (width_m > WIDTHS_M[0]) & (width_m < WIDTHS_M[1])
+    told &= (width_m > NARROW_M[0]) & (width_m < NARROW_M[1])
     size_m[told, 0] = lengths_by_width_m(width_m[told])
     size_m[told, 1] = width_m[told]
     return size_m

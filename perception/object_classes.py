@@ -19,7 +19,6 @@ LONG_M = 7.2  # what is longer is, however low
 RIDER_TOP_M, PERSON_TOP_M = 1.35, 1.5  # what is lower is a part of a car
 POLE_M = 0.9  # what is tall and has a smaller footprint is a pole
 MAST_M = 1.5  # the same of what is higher than vans, with signals or signs on it
-SHORTEST_CAR_M, LONGEST_CAR_M = 3.4, 4.8  # by their widths: what is wider may be turned
 THIN_M = 0.5  # what is long, low and thinner is a wall
 
 # Usual length, width and height in m, by what is to be completed to them.
@@ -117,12 +116,12 @@ def usual_m(kinds: Ints) -> Floats:
 
 
 def lengths_by_width_m(widths_m: Floats) -> Floats:
-    """Returns the lengths (C,) of cars of these widths: wide cars are long.
+    """Returns the lengths (C,) of cars of these widths: narrow cars are short.
 
     Least squares through thirty cars from a Peugeot 108 to a BMW 5 Series; 0.16 m are left over,
     0.44 m without.
     """
-    return np.asarray(np.clip(4.43 + 5.27 * (widths_m - 1.8), SHORTEST_CAR_M, LONGEST_CAR_M))
+    return np.asarray(4.43 + 5.27 * (widths_m - 1.8))
 
 
 def classes_by_size(sizes_m: Floats) -> Bytes:
