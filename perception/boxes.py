@@ -22,6 +22,8 @@ from perception.object_classes import (
     Shapes,
     classes_of,
     is_car,
+    is_van,
+    lengths_by_width_m,
     usual_m,
 )
 from perception.parallel import each, threads
@@ -44,11 +46,12 @@ ACROSS_RAD = 1.0  # a box turned farther from the road's direction stands across
 WHOLE_M, WHOLE_RANGE_M = 3.6, 18.0  # a car so long and so near is seen whole
 BUMPER_M = 0.5  # over the ground: what is seen of an end so low is its bumper
 END_M = 0.3  # this close to a box's end, points belong to it
-HIDDEN_M = (
-    np.array(  # rows: height of the lowest seen of a car's end; length before a rear, a front
-        [[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]]  # bumper; foot of a window; roof
-    )
-)
+# Height of the lowest that is seen of an end (bumper; foot of a window; roof), length of what lies
+# before a rear and before a front that begins so high.
+HIDDEN_OF_CARS_M = np.array([[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]])
+HIDDEN_OF_VANS_M = np.array([[1.1, 0.0, 0.0], [1.3, 0.1, 1.1], [1.8, 0.2, 1.8]])
+NARROW_M, WIDTH_RANGE_M = (1.55, 1.8), 35.0  # a car seen from side to side, so near: it is short
+CUT = 0.0043  # of the range: of a width, between the outermost points and the sides
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -85,17 +88,21 @@ def fit_boxes(
     ends_m = np.full((clusters.count, 2), np.nan)
     if completed:
         seen_m = extents[:, :, 0].copy()
-        size_m = usual_m(kinds)
+        away_m = _away_m(sensors, middles)
+        size_m = _usual_m(kinds, across_m, away_m)
         over_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
-        cars = is_car(kinds)
-        hidden_m = _hidden_m(over_m, _turned_rad(yaws, road_yaws) > ACROSS_RAD)
+        vans = is_van(kinds)
+        cars = is_car(kinds) | vans
+        across = _turned_rad(yaws, road_yaws) > ACROSS_RAD
+        hidden_m = _hidden_m(over_m, across, HIDDEN_OF_CARS_M)
+        hidden_m[vans] = _hidden_m(over_m[vans], across[vans], HIDDEN_OF_VANS_M)
         hidden_m = np.minimum(hidden_m, np.clip(EXTENDED_M - along_m, 0.0, None)[:, None])
         hidden_m *= cars[:, None]
         is_over = shapes.bottom_m > OVER_M
         in_middle = np.column_stack([is_over & ~cars, is_over])
         ahead = _share_ahead(extents, middles, yaws, sensors, in_middle)
         _complete(extents, ahead, size_m, hidden_m)
-        is_whole = cars & (along_m >= WHOLE_M) & (_away_m(sensors, middles) < WHOLE_RANGE_M)
+        is_whole = cars & (along_m >= WHOLE_M) & (away_m < WHOLE_RANGE_M)
         is_end = _is_end(over_m, ahead[:, 0], is_whole)
         ends_m[is_end] = (seen_m - extents[:, :, 0].mean(axis=1)[:, None])[is_end]
         extents[:, 0, 2] = floor_m
@@ -159,19 +166,33 @@ def certainty(members: Ints) -> Floats:
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
 
 
+def _usual_m(kinds: Ints, across_m: Floats, away_m: Floats) -> Floats:
+    """Returns the usual sizes (C, 3) of clusters; of narrow cars near by that of their width.
+
+    Wide ones are often two sensors' points that do not lie on each other, or a box that is turned.
+    """
+    size_m = usual_m(kinds)
+    width_m = across_m + CUT * away_m
+    told = is_car(kinds) & (away_m < WIDTH_RANGE_M)
+    told &= (width_m > NARROW_M[0]) & (width_m < NARROW_M[1])
+    size_m[told, 0] = lengths_by_width_m(width_m[told])
+    size_m[told, 1] = width_m[told]
+    return size_m
+
+
 def _turned_rad(yaws: Floats, road_yaws: Floats) -> Floats:
     """Returns by how much boxes (C,) are turned from the road."""
     return np.asarray(np.abs((yaws - road_yaws + np.pi) % (2 * np.pi) - np.pi))
 
 
-def _hidden_m(over_m: Floats, across: Bools) -> Floats:
+def _hidden_m(over_m: Floats, across: Bools, table: Floats) -> Floats:
     """Returns how much of cars is hidden at their rears and fronts (C, 2), seen from so high on.
 
     Where the lowest that is seen of an end is a window or the roof, boot or bonnet lie before it,
     hidden by another vehicle or between two beams. A vehicle is taken to look the way that the road
     leads; of those across the road (C,), whose front is unknown, no end has more than a boot.
     """
-    heights_m, *before_m = HIDDEN_M.T
+    heights_m, *before_m = table.T
     each_end = zip(over_m.T, before_m, strict=True)
     rear_m, front_m = (np.interp(lowest_m, heights_m, one_m) for lowest_m, one_m in each_end)
     front_m = np.where(across, np.interp(over_m[:, 1], heights_m, before_m[0]), front_m)

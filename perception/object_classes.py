@@ -12,7 +12,8 @@ from protocol.messages import ObjectClass
 LONGEST_VEHICLE_M = 18.75  # of a road train (Directive 96/53/EC); an articulated bus has 18 m
 WIDEST_VEHICLE_M = 3.2  # 2.55 m of a lorry, and its mirrors
 HIGHEST_VEHICLE_M = 4.3  # 4 m are allowed (Directive 96/53/EC)
-TALL_M = 2.2  # what is higher is a van, a lorry or a bus
+VAN_TOP_M = 1.8  # what is higher is a van, upright at its rear, with a short bonnet, or larger
+TALL_M = 2.2  # what is higher is a large van, a lorry or a bus
 HIGH_M = 2.9  # what is higher is a lorry or a bus, however short
 LONG_M = 7.2  # what is longer is, however low
 RIDER_TOP_M, PERSON_TOP_M = 1.35, 1.5  # what is lower is a part of a car
@@ -24,15 +25,17 @@ THIN_M = 0.5  # what is long, low and thinner is a wall
 _USUAL_M = np.array(
     [
         [4.5, 1.8, 1.5],  # car
-        [5.6, 2.1, 2.4],  # van, which is a car, too
+        [4.9, 1.9, 1.95],  # van, which is a car, too
+        [5.6, 2.1, 2.4],  # large van, which is one as well
         [9.0, 2.5, 3.2],  # truck
         [1.9, 0.7, 1.65],  # two-wheeler
         [0.5, 0.6, 1.7],  # pedestrian
     ]
 )
-_CAR, _VAN, _TRUCK, _TWO_WHEELER, _PEDESTRIAN = range(5)
+_CAR, _VAN, _LARGE_VAN, _TRUCK, _TWO_WHEELER, _PEDESTRIAN = range(6)
 _CLASSES = np.array(
     [
+        ObjectClass.CAR,
         ObjectClass.CAR,
         ObjectClass.CAR,
         ObjectClass.TRUCK,
@@ -82,7 +85,8 @@ class Shapes:
         """Returns what each is, an index into the usual sizes (C,)."""
         long_m = np.maximum(self.along_m, self.across_m)
         kinds = np.full(len(self.top_m), _CAR, np.int64)
-        kinds[self.top_m > TALL_M] = _VAN
+        kinds[self.top_m > VAN_TOP_M] = _VAN
+        kinds[self.top_m > TALL_M] = _LARGE_VAN
         kinds[(self.top_m > HIGH_M) | (long_m > LONG_M)] = _TRUCK
         is_upright = (self.top_m > RIDER_TOP_M) & (self.top_m < TALL_M) & (self.bottom_m < 0.8)
         is_narrow = (self.across_m < 1.1) & (self.along_m < 2.8)
@@ -101,9 +105,23 @@ def is_car(kinds: Ints) -> Bools:
     return np.asarray(kinds == _CAR)
 
 
+def is_van(kinds: Ints) -> Bools:
+    """Marks the vans, but for large ones (C,), of what `Shapes.kinds` returned."""
+    return np.asarray(kinds == _VAN)
+
+
 def usual_m(kinds: Ints) -> Floats:
     """Returns the usual length, width and height in m (C, 3)."""
     return np.asarray(_USUAL_M[kinds])
+
+
+def lengths_by_width_m(widths_m: Floats) -> Floats:
+    """Returns the lengths (C,) of cars of these widths: narrow cars are short.
+
+    Least squares through thirty cars from a Peugeot 108 to a BMW 5 Series; 0.16 m are left over,
+    0.44 m without.
+    """
+    return np.asarray(4.43 + 5.27 * (widths_m - 1.8))
 
 
 def classes_by_size(sizes_m: Floats) -> Bytes:

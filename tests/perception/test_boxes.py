@@ -52,6 +52,22 @@ def test_a_car_seen_from_the_junction_gets_its_own_box(
     assert abs(found.boxes[0, 6] - yaw) < np.radians(5)
 
 
+@pytest.mark.parametrize(
+    ("wide_m", "x", "length_m"),
+    [(1.6, 30, 3.38), (1.7, 30, 3.9), (1.9, 30, 4.5), (1.7, 60, 4.5), (1.4, 30, 4.5)],
+)
+def test_a_narrow_car_near_by_is_short(
+    roadway: Roadway, wide_m: float, x: float, length_m: float
+) -> None:
+    rng = np.random.default_rng(1)
+    seen_m = wide_m - 0.0043 * x  # no point lies on the very edge
+    low = [x, 1.75 - seen_m / 2, 0.3]
+    rear = rng.uniform(low, [x + 0.1, 1.75 + seen_m / 2, 1.45], (900, 3))
+    (box,) = fit(roadway, rear).boxes
+    assert box[3] == pytest.approx(length_m, abs=0.1)
+    assert box[0] == pytest.approx(x + length_m / 2, abs=0.1)
+
+
 def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> None:
     rng = np.random.default_rng(1)
     rear = rng.uniform([30, 0.85, 0.3], [30.1, 2.65, 1.5], (40, 3))
@@ -137,21 +153,33 @@ def test_what_is_too_short_low_or_high_for_that_is_none(
 
 
 @pytest.mark.parametrize("x", [-32.0, 32.0])
-@pytest.mark.parametrize(("lowest_m", "rear_m", "front_m"), [(0.4, 0, 0), (1.0, 0.6, 1.5)])
+@pytest.mark.parametrize(
+    ("lowest_m", "top_m", "rear_m", "front_m", "length_m"),
+    [
+        *((0.4, 1.5, 0, 0, 4.5), (1.0, 1.5, 0.6, 1.5, 4.5)),
+        *((1.0, 1.95, 0, 0, 4.9), (1.3, 1.95, 0.1, 1.1, 4.9)),  # a van
+    ],
+)
 def test_before_a_window_lie_a_bonnet_or_a_boot_that_nobody_sees(
-    roadway: Roadway, x: float, lowest_m: float, rear_m: float, front_m: float
+    roadway: Roadway,
+    x: float,
+    lowest_m: float,
+    top_m: float,
+    rear_m: float,
+    front_m: float,
+    length_m: float,
 ) -> None:
     """Rear and front of a lane's vehicles are distinguished by the lane's direction."""
     rng = np.random.default_rng(1)
     for y in (-1.75, 1.75):
-        seen = rng.uniform([x - 1, y - 0.85, lowest_m], [x + 1, y + 0.85, 1.5], (400, 3))
+        seen = rng.uniform([x - 1, y - 0.85, lowest_m], [x + 1, y + 0.85, top_m], (400, 3))
         (box,) = fit(roadway, seen).boxes
         ahead = np.sign(np.cos(box[6]))
         towards = -np.sign(x)
         before_m = front_m if ahead == towards else rear_m
         end = box[0] + towards * box[3] / 2
         assert end == pytest.approx(x + towards * (1 + before_m), abs=0.1)
-        assert box[3] == pytest.approx(4.5, abs=0.1)
+        assert box[3] == pytest.approx(length_m, abs=0.1)
 
 
 def test_no_hidden_end_makes_a_car_longer_than_5_m(roadway: Roadway) -> None:

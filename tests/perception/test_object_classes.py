@@ -36,6 +36,13 @@ def test_a_part_of_a_car_is_a_car(part):
 
 
 @pytest.mark.parametrize(
+    ("top_m", "length_m"), [(1.5, 4.5), (1.75, 4.5), (1.95, 4.9), (2.5, 5.6), (3.2, 9.0)]
+)
+def test_the_usual_length_goes_by_the_height(top_m, length_m):
+    assert usual_m(shapes(2.0, 1.8, 0.3, top_m).kinds())[0, 0] == length_m
+
+
+@pytest.mark.parametrize(
     "thing",
     [
         (0.2, 0.2, 0.2, 3.0),  # a pole
