@@ -20,10 +20,10 @@ from perception.object_classes import (
     TALL_M,
     WIDEST_VEHICLE_M,
     Shapes,
+    car_sizes_m,
     classes_of,
     is_car,
     is_van,
-    lengths_by_width_m,
     usual_m,
 )
 from perception.parallel import each, threads
@@ -43,14 +43,15 @@ EXTENDED_M = 5.0  # no hidden end makes a car longer
 SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 OVER_M = 0.8  # over the ground: what begins higher is seen over something else
 ACROSS_RAD = 1.0  # a box turned farther from the road's direction stands across it
-WHOLE_M, WHOLE_RANGE_M = 3.6, 18.0  # a car so long and so near is seen whole
+WHOLE_M, WHOLE_RANGE_M = 3.6, 18.0  # a car so long and so near is seen whole ...
+WHOLE_VAN_M, LONGEST_CAR_M = 4.3, 5.5  # ... or a van; no longer than that, though
 BUMPER_M = 0.5  # over the ground: what is seen of an end so low is its bumper
 END_M = 0.3  # this close to a box's end, points belong to it
 # Height of the lowest that is seen of an end (bumper; foot of a window; roof), length of what lies
 # before a rear and before a front that begins so high.
 HIDDEN_OF_CARS_M = np.array([[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]])
 HIDDEN_OF_VANS_M = np.array([[1.1, 0.0, 0.0], [1.3, 0.1, 1.1], [1.8, 0.2, 1.8]])
-NARROW_M, WIDTH_RANGE_M = (1.55, 1.8), 35.0  # a car seen from side to side, so near: it is short
+WIDTH_RANGE_M, WIDTH_POINTS = 35.0, 30  # so near and of so many points, a width is known
 CUT = 0.0043  # of the range: of a width, between the outermost points and the sides
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
@@ -82,14 +83,14 @@ def fit_boxes(
     along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
     shapes = Shapes(along_m, across_m, extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m)
     kinds = shapes.kinds()
-    kept = (members >= LEAST_POINTS) | (_away_m(sensors, middles) > NEAR_M)
+    away_m = _away_m(sensors, middles)
+    kept = (members >= LEAST_POINTS) | (away_m > NEAR_M)
     kept &= shapes.is_vehicle_or_person
     kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
     ends_m = np.full((clusters.count, 2), np.nan)
     if completed:
         seen_m = extents[:, :, 0].copy()
-        away_m = _away_m(sensors, middles)
-        size_m = _usual_m(kinds, across_m, away_m)
+        size_m = _usual_m(kinds, shapes, members, away_m)
         over_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
         vans = is_van(kinds)
         cars = is_car(kinds) | vans
@@ -102,7 +103,8 @@ def fit_boxes(
         in_middle = np.column_stack([is_over & ~cars, is_over])
         ahead = _share_ahead(extents, middles, yaws, sensors, in_middle)
         _complete(extents, ahead, size_m, hidden_m)
-        is_whole = cars & (along_m >= WHOLE_M) & (away_m < WHOLE_RANGE_M)
+        is_whole = cars & (along_m >= np.where(vans, WHOLE_VAN_M, WHOLE_M))
+        is_whole &= (along_m <= LONGEST_CAR_M) & (away_m < WHOLE_RANGE_M)
         is_end = _is_end(over_m, ahead[:, 0], is_whole)
         ends_m[is_end] = (seen_m - extents[:, :, 0].mean(axis=1)[:, None])[is_end]
         extents[:, 0, 2] = floor_m
@@ -166,17 +168,15 @@ def certainty(members: Ints) -> Floats:
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
 
 
-def _usual_m(kinds: Ints, across_m: Floats, away_m: Floats) -> Floats:
-    """Returns the usual sizes (C, 3) of clusters; of narrow cars near by that of their width.
+def _usual_m(kinds: Ints, shapes: Shapes, members: Ints, away_m: Floats) -> Floats:
+    """Returns the usual sizes (C, 3) of clusters; of cars near by that of their width.
 
-    Wide ones are often two sensors' points that do not lie on each other, or a box that is turned.
+    What is seen of a car over another one is its cabin, which is narrower.
     """
     size_m = usual_m(kinds)
-    width_m = across_m + CUT * away_m
-    told = is_car(kinds) & (away_m < WIDTH_RANGE_M)
-    told &= (width_m > NARROW_M[0]) & (width_m < NARROW_M[1])
-    size_m[told, 0] = lengths_by_width_m(width_m[told])
-    size_m[told, 1] = width_m[told]
+    told = is_car(kinds) & (shapes.bottom_m < OVER_M)
+    told &= (away_m < WIDTH_RANGE_M) & (members >= WIDTH_POINTS)
+    size_m[told, :2] = car_sizes_m((shapes.across_m + CUT * away_m)[told])
     return size_m
 
 

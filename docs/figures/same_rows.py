@@ -74,13 +74,17 @@ def compared_policies(root: Path, work: Path, then: str, now: str) -> list[Compa
     with _tree_of(root, work, then) as tree:
         before = _benched(tree, work, then)
     return [
-        Compared(title, "none", False, [] if before.get(title) == row else ["other rows"])
-        for title, row in after.items()
+        Compared(one, "none", False, [] if before.get(one) == after.get(one) else ["other rows"])
+        for one in sorted(before.keys() | after.keys())
     ]
 
 
 def _benched(root: Path, work: Path, commit: str) -> dict[str, Any]:
-    """Returns the rows of `POLICIES`, without times, by net and policy; what was made is kept."""
+    """Returns the rows of `POLICIES`, without times, by net, policy, seed; what was made is kept.
+
+    Raises:
+        ValueError: there are none.
+    """
     digest = hashlib.sha256(POLICIES.encode()).hexdigest()
     out = work / f"policies-{commit[:7]}-{digest[:7]}.json"
     if not out.exists():
@@ -92,9 +96,14 @@ def _benched(root: Path, work: Path, commit: str) -> dict[str, Any]:
             check=True,
         )
         out.write_bytes(done.stdout)
+    rows = json.loads(out.read_text("utf-8"))
+    if not rows:
+        raise ValueError(f"{out} has no rows to compare")
     return {
-        f"{row['net']}, {row['policy']}": {k: v for k, v in row.items() if "decide" not in k}
-        for row in json.loads(out.read_text("utf-8"))
+        f"{row['net']}, {row['policy']}, seed {row['seed']}": {
+            key: value for key, value in row.items() if not key.startswith("decide_")
+        }
+        for row in rows
     }
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
+import shutil
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -148,19 +150,31 @@ def test_a_figure_of_policies_stays_fresh_where_these_give_the_same_rows(
     figure = make.FIGURES["grid"]
     record = make.load(figure) | {"sources": "before", "commit": "0123456789", "same": {}}
     monkeypatch.setattr(make, "FOLDER", tmp_path)
+    monkeypatch.setattr(make, "WORK", tmp_path / "work")
     monkeypatch.setattr(make, "FIGURES", {"grid": figure})
     make.save(figure, record)
     monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
     same_rows = sys.modules["same_rows"]
     monkeypatch.setattr(same_rows, "_tree_of", lambda *_: nullcontext(tmp_path))
-    rows = {commit: {"grid, webster": {"delay_s": 7.0}} for commit in ("0123456789", "c0ffee0123")}
-    monkeypatch.setattr(same_rows, "_benched", lambda root, work, commit: rows[commit])
-    rows["c0ffee0123"]["grid, webster"] = {"delay_s": 7.1}
+    rows = {
+        commit: [
+            {"net": "grid", "policy": "webster", "seed": 1, "delay_s": 7.0, "decide_p50_ms": ms}
+        ]
+        for ms, commit in enumerate(("0123456789", "c0ffee0123"))
+    }
+
+    def bench(command, *, cwd, env, stdout, check) -> SimpleNamespace:
+        commit = "c0ffee0123" if env["PYTHONPATH"] == str(make.ROOT) else "0123456789"
+        return SimpleNamespace(stdout=json.dumps(rows[commit]).encode())
+
+    monkeypatch.setattr(same_rows.subprocess, "run", bench)
+    rows["c0ffee0123"].append(rows["c0ffee0123"][0] | {"policy": "predictive"})
     make.compare_rows([])
-    assert not make.is_fresh(figure)
-    rows["c0ffee0123"]["grid, webster"] = {"delay_s": 7.0}
+    assert not make.is_fresh(figure), "a row more"
+    rows["c0ffee0123"].pop()
+    shutil.rmtree(make.WORK)
     make.compare_rows([])
-    assert make.is_fresh(figure)
+    assert make.is_fresh(figure), "the same rows, whatever the times"
 
 
 def test_a_figure_that_shows_a_learned_detector_is_older_than_its_weights(make) -> None:

@@ -53,19 +53,23 @@ def test_a_car_seen_from_the_junction_gets_its_own_box(
 
 
 @pytest.mark.parametrize(
-    ("wide_m", "x", "length_m"),
-    [(1.6, 30, 3.38), (1.7, 30, 3.9), (1.9, 30, 4.5), (1.7, 60, 4.5), (1.4, 30, 4.5)],
+    ("wide_m", "x", "lowest_m", "points", "length_m"),
+    [
+        *((1.7, 30, 0.3, 900, 3.9), (1.9, 30, 0.3, 900, 4.5)),
+        *((1.4, 30, 0.3, 900, 4.5), (1.6, 30, 0.3, 900, 3.93)),  # a part, or nearly
+        *((1.7, 60, 0.3, 900, 4.5), (1.7, 30, 0.3, 20, 4.5), (1.7, 30, 0.9, 900, 4.5)),
+    ],
 )
 def test_a_narrow_car_near_by_is_short(
-    roadway: Roadway, wide_m: float, x: float, length_m: float
+    roadway: Roadway, wide_m: float, x: float, lowest_m: float, points: int, length_m: float
 ) -> None:
     rng = np.random.default_rng(1)
     seen_m = wide_m - 0.0043 * x  # no point lies on the very edge
-    low = [x, 1.75 - seen_m / 2, 0.3]
-    rear = rng.uniform(low, [x + 0.1, 1.75 + seen_m / 2, 1.45], (900, 3))
-    (box,) = fit(roadway, rear).boxes
-    assert box[3] == pytest.approx(length_m, abs=0.1)
-    assert box[0] == pytest.approx(x + length_m / 2, abs=0.1)
+    low = [x, 1.75 - seen_m / 2, lowest_m]
+    rear = rng.uniform(low, [x + 0.1, 1.75 + seen_m / 2, 1.45], (points, 3))
+    found = fit(roadway, rear)
+    assert len(found) == 1
+    assert found.boxes[0, 3] == pytest.approx(length_m, abs=0.1)
 
 
 def test_a_rear_alone_is_completed_away_from_the_sensor(roadway: Roadway) -> None:
@@ -85,9 +89,9 @@ def test_of_a_bumper_alone_one_end_is_known(
     found = fit(roadway, bumper)
     known = [np.nan if end_m is None else end_m for end_m in (rear_m, front_m)]
     np.testing.assert_allclose(found.ends_m, [known], atol=0.1)
-    window = bumper + np.array([0, 0, 0.7])
-    assert np.isnan(fit(roadway, window).ends_m).all()
-    assert np.isnan(fit(roadway, bumper, completed=False).ends_m).all()
+    window = bumper[bumper[:, 2] < 0.9] + np.array([0, 0, 0.6])
+    assert fit(roadway, window).ends_m.tolist() == [[pytest.approx(np.nan, nan_ok=True)] * 2]
+    assert np.isnan(fit(roadway, bumper, completed=False).ends_m).tolist() == [[True, True]]
 
 
 @pytest.mark.parametrize(("x", "rear_is_known"), [(10.0, True), (60.0, True), (-60.0, False)])

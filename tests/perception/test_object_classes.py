@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from perception.object_classes import Shapes, classes_by_size, classes_of, usual_m
+from perception.object_classes import Shapes, car_sizes_m, classes_by_size, classes_of, usual_m
 from protocol.messages import ObjectClass
 
 
@@ -55,3 +55,32 @@ def test_the_usual_length_goes_by_the_height(top_m, length_m):
 )
 def test_what_no_vehicle_can_be_is_left_out(thing):
     assert not shapes(*thing).is_vehicle_or_person[0]
+
+
+MODELS_M = [
+    *((3.47, 1.62), (3.57, 1.63), (3.60, 1.65), (3.65, 1.64), (3.67, 1.68), (3.94, 1.75)),
+    *((4.04, 1.74), (4.05, 1.80), (4.06, 1.77), (4.07, 1.75), (4.28, 1.79), (4.36, 1.81)),
+    *((4.37, 1.79), (4.37, 1.81), (4.38, 1.83), (4.39, 1.81), (4.49, 1.84), (4.54, 1.76)),
+    *((4.55, 1.80), (4.69, 1.83), (4.69, 1.85), (4.69, 1.90), (4.71, 1.83), (4.75, 1.82)),
+    *((4.77, 1.83), (4.87, 1.85), (4.89, 1.84), (4.90, 1.86), (4.94, 1.87), (4.94, 1.89)),
+]
+"""Length and width without mirrors: Peugeot 108, Fiat 500, VW up!, Fiat Panda, Hyundai i10, Toyota
+Yaris, Ford Fiesta, Renault Clio, Opel Corsa, VW Polo, VW Golf, Renault Megane, Toyota Corolla, Opel
+Astra, Ford Focus, Nissan Qashqai, VW Tiguan, Toyota Prius, Honda Civic, Skoda Octavia, Tesla
+Model 3, Volvo XC60, BMW 3 Series, Mercedes C-Class, VW Passat, Ford Mondeo, Toyota Camry, Honda
+Accord, BMW 5 Series, Audi A6."""
+
+
+def test_lengths_by_width_are_those_of_cars_on_sale():
+    length_m, width_m = np.array(MODELS_M).T
+    slope, at_1_8_m = np.polyfit(width_m - 1.8, length_m, 1)
+    narrow_m = np.array([1.66, 1.7, 1.75, 1.8])
+    expected_m = at_1_8_m + slope * (narrow_m - 1.8)
+    np.testing.assert_allclose(car_sizes_m(narrow_m)[:, 0], expected_m, atol=0.05)
+
+
+def test_sizes_by_width_have_no_steps():
+    seen_m = np.linspace(1.3, 2.1, 801)
+    steps_m = np.abs(np.diff(car_sizes_m(seen_m), axis=0))
+    assert steps_m.max() < 0.01
+    assert car_sizes_m(np.array([1.4, 1.9])).tolist() == [[4.5, 1.8]] * 2

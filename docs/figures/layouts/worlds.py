@@ -86,10 +86,11 @@ def counts(rows: Rows) -> Table:
     heads = ["E-CVPR without tracks, %", "with tracks, %", "in range of a LiDAR, %"]
     errors = ["error of a lane's count, vehicles, without", "with", "less, %"]
     table = [["CAVs, %", *heads, *errors]]
-    for share in sorted({row["traffic.cav_rate"] for row in rows}):
+    by = {(r["traffic.cav_rate"], r["network"], r["edge.tracking.enabled"]): r for r in rows}
+    shares, networks = ({key[n] for key in by} for n in range(2))
+    for share in sorted(shares):
         without, tracked = (
-            sorted((r for r in rows if _tracked(r, share, on)), key=lambda row: row["network"])
-            for on in ("false", "true")
+            [by[share, network, on] for network in sorted(networks)] for on in ("false", "true")
         )
         pairs = list(zip(without, tracked, strict=True))
         table.append(
@@ -102,10 +103,6 @@ def counts(rows: Rows) -> Table:
             ]
         )
     return table
-
-
-def _tracked(row: dict[str, Any], cav_rate: float, tracked: str) -> bool:
-    return row["traffic.cav_rate"] == cav_rate and row["edge.tracking.enabled"] == tracked
 
 
 _WORLDS = {
