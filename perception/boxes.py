@@ -14,16 +14,14 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Floats32, Ints
 from perception.clusters import Clusters
+from perception.completion import Fitted, complete, lowest_at_ends
 from perception.detector import Vehicles
 from perception.object_classes import (
     PERSON_TOP_M,
     TALL_M,
     WIDEST_VEHICLE_M,
     Shapes,
-    car_sizes_m,
     classes_of,
-    is_car,
-    is_van,
     usual_m,
 )
 from perception.parallel import each, threads
@@ -39,20 +37,8 @@ LEAST_POINTS, NEAR_M = 8, 50.0  # so near a sensor, fewer are a sliver of what s
 LEAST_M, LEAST_HEIGHT_M = 0.5, 0.1  # what is smaller is no vehicle
 PERSON_M = 0.2  # but may be a person, if it is so high
 LINE_M, LINE_TOP_M = 1.0, 0.4  # of a side that one ring has hit: length, least height over ground
-EXTENDED_M = 5.0  # no hidden end makes a car longer
-SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
-OVER_M = 0.8  # over the ground: what begins higher is seen over something else
 ACROSS_RAD = 1.0  # a box turned farther from the road's direction stands across it
-WHOLE_M, WHOLE_RANGE_M = 3.6, 18.0  # a car so long and so near is seen whole ...
-WHOLE_VAN_M, LONGEST_CAR_M = 4.3, 5.5  # ... or a van; no longer than that, though
-BUMPER_M = 0.5  # over the ground: what is seen of an end so low is its bumper
-END_M = 0.3  # this close to a box's end, points belong to it
-# Height of the lowest that is seen of an end (bumper; foot of a window; roof), length of what lies
-# before a rear and before a front that begins so high.
-HIDDEN_OF_CARS_M = np.array([[OVER_M, 0.0, 0.0], [0.95, 0.55, 1.45], [1.5, 1.2, 1.9]])
-HIDDEN_OF_VANS_M = np.array([[1.1, 0.0, 0.0], [1.3, 0.1, 1.1], [1.8, 0.2, 1.8]])
-WIDTH_RANGE_M, WIDTH_POINTS = 35.0, 30  # so near and of so many points, a width is known
-CUT = 0.0043  # of the range: of a width, between the outermost points and the sides
+SHARED = 0.2  # of the smaller box: vehicles do not overlap, but boxes of one seen in parts do
 CERTAIN_POINTS = 25.0  # about two thirds of full score
 
 
@@ -80,35 +66,21 @@ def fit_boxes(
     road_yaws = roadway.yaw_at(middles)
     yaws = road_yaws.copy()
     extents = _fit(points, clusters.runs, starts, middles, yaws, floor_m)
-    along_m, across_m, height_m = (extents[:, 1] - extents[:, 0]).T
-    shapes = Shapes(along_m, across_m, extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m)
-    kinds = shapes.kinds()
-    away_m = _away_m(sensors, middles)
-    kept = (members >= LEAST_POINTS) | (away_m > NEAR_M)
+    size_m = extents[:, 1] - extents[:, 0]
+    shapes = Shapes(
+        size_m[:, 0], size_m[:, 1], extents[:, 0, 2] - floor_m, extents[:, 1, 2] - floor_m
+    )
+    kinds, seen_from_m = shapes.kinds(), _seen_from_m(sensors, middles, yaws)
+    kept = (members >= LEAST_POINTS) | (np.linalg.norm(seen_from_m, axis=1) > NEAR_M)
     kept &= shapes.is_vehicle_or_person
-    kept &= _stands(shapes, height_m) | _is_line(shapes, height_m)
+    kept &= _stands(shapes, size_m[:, 2]) | _is_line(shapes, size_m[:, 2])
     ends_m = np.full((clusters.count, 2), np.nan)
     if completed:
-        seen_m = extents[:, :, 0].copy()
-        size_m = _usual_m(kinds, shapes, members, away_m)
-        over_m = _lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
-        vans = is_van(kinds)
-        cars = is_car(kinds) | vans
-        across = _turned_rad(yaws, road_yaws) > ACROSS_RAD
-        hidden_m = _hidden_m(over_m, across, HIDDEN_OF_CARS_M)
-        hidden_m[vans] = _hidden_m(over_m[vans], across[vans], HIDDEN_OF_VANS_M)
-        hidden_m = np.minimum(hidden_m, np.clip(EXTENDED_M - along_m, 0.0, None)[:, None])
-        hidden_m *= cars[:, None]
-        is_over = shapes.bottom_m > OVER_M
-        in_middle = np.column_stack([is_over & ~cars, is_over])
-        ahead = _share_ahead(extents, middles, yaws, sensors, in_middle)
-        _complete(extents, ahead, size_m, hidden_m)
-        is_whole = cars & (along_m >= np.where(vans, WHOLE_VAN_M, WHOLE_M))
-        is_whole &= (along_m <= LONGEST_CAR_M) & (away_m < WHOLE_RANGE_M)
-        is_end = _is_end(over_m, ahead[:, 0], is_whole)
-        ends_m[is_end] = (seen_m - extents[:, :, 0].mean(axis=1)[:, None])[is_end]
+        over_m = lowest_at_ends(points, clusters.runs, middles, yaws, extents) - floor_m[:, None]
+        is_across = np.abs((yaws - road_yaws + np.pi) % (2 * np.pi) - np.pi) > ACROSS_RAD
+        ends_m = complete(Fitted(extents, shapes, kinds, members, over_m, seen_from_m, is_across))
         extents[:, 0, 2] = floor_m
-        extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + size_m[:, 2])
+        extents[:, 1, 2] = np.maximum(extents[:, 1, 2], floor_m + usual_m(kinds)[:, 2])
     boxes = _boxes(extents, middles, yaws)
     found = Vehicles.from_lidar(boxes, certainty(members), classes_of(kinds))
     found = replace(found, ends_m=ends_m).take(kept)
@@ -145,9 +117,11 @@ def _count_by_part(runs: Ints, sizes: Ints, count: int) -> Ints:
     return points
 
 
-def _away_m(sensors: Floats, middles: Floats) -> Floats:
-    """Returns how far clusters (C, 3) are from the sensors that saw them (C, 2)."""
-    return np.asarray(np.linalg.norm(sensors - middles[:, :2], axis=1))
+def _seen_from_m(sensors: Floats, middles: Floats, yaws: Floats) -> Floats:
+    """Returns the sensors (C, 2) that saw clusters, about their middles (C, 3), turned by yaws."""
+    off = sensors - middles[:, :2]
+    cos, sin = np.cos(yaws), np.sin(yaws)
+    return np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], -1)
 
 
 def _stands(shapes: Shapes, height_m: Floats) -> Bools:
@@ -166,77 +140,6 @@ def _is_line(shapes: Shapes, height_m: Floats) -> Bools:
 def certainty(members: Ints) -> Floats:
     """Returns the scores (C,) of clusters of so many points."""
     return np.asarray(1.0 - np.exp(-members / CERTAIN_POINTS))
-
-
-def _usual_m(kinds: Ints, shapes: Shapes, members: Ints, away_m: Floats) -> Floats:
-    """Returns the usual sizes (C, 3) of clusters; of cars near by that of their width.
-
-    What is seen of a car over another one is its cabin, which is narrower.
-    """
-    size_m = usual_m(kinds)
-    told = is_car(kinds) & (shapes.bottom_m < OVER_M)
-    told &= (away_m < WIDTH_RANGE_M) & (members >= WIDTH_POINTS)
-    size_m[told, :2] = car_sizes_m((shapes.across_m + CUT * away_m)[told])
-    return size_m
-
-
-def _turned_rad(yaws: Floats, road_yaws: Floats) -> Floats:
-    """Returns by how much boxes (C,) are turned from the road."""
-    return np.asarray(np.abs((yaws - road_yaws + np.pi) % (2 * np.pi) - np.pi))
-
-
-def _hidden_m(over_m: Floats, across: Bools, table: Floats) -> Floats:
-    """Returns how much of cars is hidden at their rears and fronts (C, 2), seen from so high on.
-
-    Where the lowest that is seen of an end is a window or the roof, boot or bonnet lie before it,
-    hidden by another vehicle or between two beams. A vehicle is taken to look the way that the road
-    leads; of those across the road (C,), whose front is unknown, no end has more than a boot.
-    """
-    heights_m, *before_m = table.T
-    each_end = zip(over_m.T, before_m, strict=True)
-    rear_m, front_m = (np.interp(lowest_m, heights_m, one_m) for lowest_m, one_m in each_end)
-    front_m = np.where(across, np.interp(over_m[:, 1], heights_m, before_m[0]), front_m)
-    return np.column_stack([rear_m, front_m])
-
-
-def _share_ahead(
-    extents: Floats, middles: Floats, yaws: Floats, sensors: Floats, in_middle: Bools
-) -> Floats:
-    """Returns which share of what boxes lack lies ahead, and which to the left (C, 2).
-
-    The side turned to the sensor (C, 2) stays in place, so that all lies on the other one. Those
-    stay in the middle, along and across (C, 2), of which that side is hidden by what they are seen
-    over.
-    """
-    off = sensors - middles[:, :2]
-    cos, sin = np.cos(yaws), np.sin(yaws)
-    seen_from = np.stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]], -1)
-    ahead = np.where(seen_from > extents[:, 1, :2], 0.0, 0.5)
-    ahead = np.where(seen_from < extents[:, 0, :2], 1.0, ahead)
-    return np.where(in_middle, 0.5, ahead)
-
-
-def _complete(extents: Floats, ahead: Floats, usual_m: Floats, hidden_m: Floats) -> None:
-    """Widens boxes to usual sizes (C, 3), as `_share_ahead` (C, 2) has it.
-
-    What is hidden before their ends (C, 2) is added where such an end is turned to the sensor.
-    """
-    low, high = extents[:, 0, :2], extents[:, 1, :2]
-    low[:, 0] -= (ahead[:, 0] == 1.0) * hidden_m[:, 0]
-    high[:, 0] += (ahead[:, 0] == 0.0) * hidden_m[:, 1]
-    missing_m = np.maximum(usual_m[:, :2] - (high - low), 0.0)
-    high += ahead * missing_m
-    low -= (1.0 - ahead) * missing_m
-
-
-def _is_end(over_m: Floats, ahead: Floats, is_whole: Bools) -> Bools:
-    """Marks rears and fronts (C, 2) of vehicles that end where the last of them was seen.
-
-    So does the end turned to the sensor if a bumper was seen, that is something so low over the
-    ground; and so does the other one of what was seen whole.
-    """
-    turned_to = np.column_stack([ahead == 1.0, ahead == 0.0])
-    return np.asarray((over_m < BUMPER_M) & (turned_to | is_whole[:, None]))
 
 
 def _boxes(extents: Floats, middles: Floats, yaws: Floats) -> Floats:
@@ -259,31 +162,6 @@ def _floor_m(ground_m: Floats32, runs: Ints, members: Ints) -> Floats:
             below_m += ground_m[index]
         floor_m[label] += below_m
     return floor_m / members
-
-
-@njit(
-    "float64[:,::1](float32[:,::1], int64[:,::1], float64[:,::1], float64[::1], float64[:,:,::1])",
-    cache=True,
-    nogil=True,
-)
-def _lowest_at_ends(
-    points: Floats32, runs: Ints, middles: Floats, yaws: Floats, extents: Floats
-) -> Floats:
-    """Returns the height of the lowest point at the rear and at the front of each box (C, 2)."""
-    assert points.shape[1] == 3
-    lowest_m = np.full((middles.shape[0], 2), np.inf)
-    for run in range(runs.shape[0]):
-        label, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
-        cos, sin = np.cos(yaws[label]), np.sin(yaws[label])
-        rear_m, front_m = extents[label, 0, 0] + END_M, extents[label, 1, 0] - END_M
-        for index in range(first, end):
-            x_m, y_m = points[index, 0] - middles[label, 0], points[index, 1] - middles[label, 1]
-            along_m, z_m = cos * x_m + sin * y_m, np.float64(points[index, 2])
-            if along_m <= rear_m:
-                lowest_m[label, 0] = min(lowest_m[label, 0], z_m)
-            if along_m >= front_m:
-                lowest_m[label, 1] = min(lowest_m[label, 1], z_m)
-    return lowest_m
 
 
 @njit("void(float64[:,::1], float64, float64[:,::1])", cache=True, nogil=True)

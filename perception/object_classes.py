@@ -110,8 +110,8 @@ def classes_of(kinds: Ints) -> Bytes:
 
 
 def is_car(kinds: Ints) -> Bools:
-    """Marks the cars, but for vans (C,), of what `Shapes.kinds` returned."""
-    return np.asarray(kinds == _CAR)
+    """Marks cars and vans, but for large ones (C,), of what `Shapes.kinds` returned."""
+    return np.asarray((kinds == _CAR) | (kinds == _VAN))
 
 
 def is_van(kinds: Ints) -> Bools:
