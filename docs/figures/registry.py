@@ -486,7 +486,7 @@ _LIST = (
     _network("town", 45),
     _loop("t", "docs/control.md", 40),
     _loop("paper", "docs/control.md", 55),
-    _loop("peak", "docs/control.md", 30),
+    _loop("peak", "docs/control.md", 55),
     _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
     _loop_resco("ingolstadt1", "ingolstadt1", minutes=15),
     _loop_resco("ingolstadt7", "ingolstadt7", minutes=45),
