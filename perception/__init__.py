@@ -3,7 +3,7 @@
 - `config`: parameters of every stage; `registry` builds the detector that they name
 - `detector`: interface: `Cloud` in, `Vehicles` out; plug-ins are held to it
 - `fast`: the default detector, by clustering: `ground` (RANSAC per tile), `cluster` (DBSCAN on the
-  grid of `cells`), `boxes` (fit, size filter, overlap), `completion` (what nobody sees of a vehicle)
+  grid of `cells`), `boxes` (fit, size filter, overlap), `completion` (what of a vehicle is unseen)
 - `reference`: the paper's detector by Open3D; `pillars/`: PointPillars
 - `roadway`: raster of the road, points placed on it, lowest point of each square metre
 - `thin`: thinning of near beams before upload
