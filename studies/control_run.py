@@ -262,7 +262,7 @@ class _Controller:
             side = self._approaches.upstream.get(lane)
             if side is not None and distance_m <= self._case.upstream_m:
                 standing[side.counts_for] += name in truth.queued
-        found = []
+        found = []  # type: list[tuple[float, bool]]
         for index in np.flatnonzero(~queues.is_seen).tolist():
             queue, number = queues.queue(index), standing[incoming[index]]
             found.append((abs(queue.median - number), queue.low <= number <= queue.high))
