@@ -409,7 +409,7 @@ _LIST = (
         "cpnet study $ROOT/docs/figures/tracks.yaml --keep-runs --out tracks >&2; "
         "python $ROOT/docs/figures/track_scores.py tracks",
         (*STUDY, "cpnet/realism"),
-        10,
+        20,
         (Part("all", "docs/tracking.md", worlds.tracks),),
         of_rows=True,
     ),
