@@ -202,12 +202,13 @@ class PredictivePlanner:
     def arrivals(self, vehicles: LaneVehicles) -> Floats:
         """Returns (L, T): vehicles expected at each stop bar in each step.
 
-        Those that queue unseen stand at the stop bar; others may arrive from where no sensor
-        covers.
+        Each counts in the first step that begins after it is there: one that comes into the second
+        step after a change was asked for brakes at yellow, and few are as fast as allowed. Those
+        that queue unseen stand at the stop bar; others may arrive from where no sensor covers.
         """
         expected = self.expected(vehicles)
         result = np.zeros((len(self.model.lanes), self.steps))
-        add_arrivals(result, expected.arrival_s, expected.shares)
+        add_arrivals(result, np.ceil(expected.arrival_s / STEP_S) * STEP_S, expected.shares)
         self.add_unseen(result)
         return result
 

@@ -231,6 +231,15 @@ def test_a_change_under_way_is_kept() -> None:
     assert policy().decide(Observation(counts(0, 60 * S), state, found)).state == EW
 
 
+@pytest.mark.parametrize(("away_m", "step"), [(0.0, 0), (13.0, 1), (20.0, 2), (27.0, 2), (28.0, 3)])
+def test_a_vehicle_counts_in_the_first_step_that_begins_after_it_is_there(
+    away_m: float, step: int
+) -> None:
+    planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))
+    arrivals = planner.arrivals(vehicles(("n_0", away_m, 13.9)))[LANES.index("n_0")]
+    assert int(arrivals.argmax()) == step
+
+
 def test_a_green_is_never_asked_to_end_before_its_minimum() -> None:
     state = green(NS, 60 * S, since_ns=58 * S)
     found = vehicles(*queue("e_0", 9))
