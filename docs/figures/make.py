@@ -119,8 +119,8 @@ def age(figure: Figure, record: Record) -> str:
 def compare_rows(names: list[str]) -> None:
     """Marks the older figures of rows whose code still gives the rows that were measured.
 
-    Runs of a learned detector count for the figures that show one, so do runs with tracks.
-    Figures of policies on SUMO alone are compared by runs of these.
+    Runs of a learned detector count for the figures that show one; so do runs with tracks, and
+    those under predictive control. Figures of policies on SUMO alone are compared by runs of these.
 
     Raises:
         subprocess.CalledProcessError: a run failed, or a commit is not there any more.
@@ -141,6 +141,7 @@ def compare_rows(names: list[str]) -> None:
                 for run in every
                 if (figure.learned or run.detector not in LEARNED)
                 and (figure.tracked or not run.is_tracked)
+                and (figure.predictive or not run.is_predictive)
             ]
             found = [f"{run.title}: {one}" for run in runs for one in run.differences]
             says = "\n  ".join(found) or f"the same rows in {len(runs)} runs"

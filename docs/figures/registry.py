@@ -64,7 +64,8 @@ class Figure:
     The shell runs it in `runs/figures`, `$ROOT` is the repository. Without a command it cannot be
     made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast;
     if `learned`, some of these of the detector `pointpillars`; if not `tracked`, all of these of
-    detection alone. One `of_policies` tells of what signal policies gave on SUMO alone.
+    detection alone; if `predictive`, some of these under predictive control. One `of_policies`
+    tells of what signal policies gave on SUMO alone.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Figure:
     of_policies: bool = False
     learned: bool = False
     tracked: bool = True
+    predictive: bool = False
 
     def digests(self, root: Path) -> dict[str, str]:
         """Returns a hash of each of its files; of pages without the ages put in later."""
@@ -148,6 +150,7 @@ def _loop(name: str, page: str, minutes: int, study: str = "", needs: str = "") 
         minutes,
         (Part("all", page, comparison.loop),),
         of_rows=True,
+        predictive=True,
     )
 
 
@@ -158,9 +161,12 @@ def _loop_resco(name: str, *nets: str, minutes: int) -> Figure:
 
 
 def _study_figures(
-    study: str, page: str, minutes: int, part: Part, *, tracked: bool = True, learned: bool = False
+    study: str, page: str, minutes: int, part: Part, **shown: bool
 ) -> tuple[Figure, Figure]:
-    """Returns the page of a built-in study, and a part elsewhere of the same runs."""
+    """Returns the page of a built-in study, and a part elsewhere of the same runs.
+
+    `shown` are `learned`, `tracked`, `predictive` of the figures, where they are not the default.
+    """
     run = f"cpnet study {study} --out {study}"
     whole = Figure(
         study,
@@ -170,8 +176,7 @@ def _study_figures(
         (Part("age", f"docs/{page}.md"),),
         files=(f"docs/{page}.md", f"docs/{page}/*.png"),
         of_rows=True,
-        tracked=tracked,
-        learned=learned,
+        **shown,
     )
     rows = f"{run} >&2; {_rows_of(study)}"
     return whole, replace(whole, name=f"{study}-readme", command=rows, parts=(part,), files=())
@@ -368,7 +373,9 @@ _LIST = (
     *_study_figures(
         "bandwidth", "bandwidth", 60, Part("table", "README.md", links.bandwidth_readme)
     ),
-    *_study_figures("value", "value", 90, Part("table", "README.md", comparison.value_readme)),
+    *_study_figures(
+        "value", "value", 90, Part("table", "README.md", comparison.value_readme), predictive=True
+    ),
     Figure(
         "frame",
         f"rm -rf frame; {_RUN} --out frame >&2; "
@@ -464,6 +471,7 @@ _LIST = (
             Part("readme", "README.md", comparison.delay_short),
         ),
         of_rows=True,
+        predictive=True,
     ),
     Figure(
         "tuned",

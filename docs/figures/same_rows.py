@@ -34,6 +34,7 @@ class Compared:
     title: str
     detector: str
     is_tracked: bool
+    is_predictive: bool
     differences: list[str]
 
 
@@ -57,6 +58,7 @@ def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
             title,
             made[title].detector,
             made[title].is_tracked,
+            made[title].is_predictive,
             [*differences(made[title].run, before[title].run)],
         )
         for title in sorted(made)
@@ -74,7 +76,9 @@ def compared_policies(root: Path, work: Path, then: str, now: str) -> list[Compa
     with _tree_of(root, work, then) as tree:
         before = _benched(tree, work, then)
     return [
-        Compared(one, "none", False, [] if before.get(one) == after.get(one) else ["other rows"])
+        Compared(
+            one, "none", False, False, [] if before.get(one) == after.get(one) else ["other rows"]
+        )
         for one in sorted(before.keys() | after.keys())
     ]
 
@@ -112,6 +116,7 @@ class _Made:
     run: Path
     detector: str
     is_tracked: bool
+    is_predictive: bool
 
 
 @contextmanager
@@ -149,6 +154,7 @@ def _made(root: Path, work: Path, commit: str) -> dict[str, _Made]:
             out / "runs" / cell["id"],
             cell["scenario"]["edge"]["detector"],
             cell["scenario"]["edge"]["tracking"]["enabled"],
+            cell["scenario"]["signal"]["policy"] == "predictive",
         )
         for cell in cells
     }

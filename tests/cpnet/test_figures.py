@@ -104,9 +104,7 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
         commits.append(then)
         differing = [] if len(commits) > 1 else ["other rows"]
         return [
-            SimpleNamespace(
-                title=title, detector=detector, is_tracked=True, differences=differences
-            )
+            run_of(title, differences, detector=detector, is_tracked=True)
             for title, detector, differences in (
                 ("a", "fast", differing),
                 ("b", "pointpillars", ["other rows"]),
@@ -123,7 +121,27 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     assert commits == ["0123456789"] * 2
 
 
-def test_what_tracks_give_ages_no_figure_of_detection_alone(make, monkeypatch, tmp_path) -> None:
+def run_of(
+    title: str,
+    differences: list[str],
+    *,
+    detector: str = "fast",
+    is_tracked: bool = False,
+    is_predictive: bool = False,
+) -> SimpleNamespace:
+    return SimpleNamespace(
+        title=title,
+        detector=detector,
+        is_tracked=is_tracked,
+        is_predictive=is_predictive,
+        differences=differences,
+    )
+
+
+@pytest.mark.parametrize("differing", [{"is_tracked": True}, {"is_predictive": True}], ids=str)
+def test_what_a_figure_does_not_show_does_not_age_it(
+    make, monkeypatch, tmp_path, differing
+) -> None:
     figures = {name: make.FIGURES[name] for name in ("ecvpr", "delay")}
     before = {"sources": "before", "commit": "0123456789", "same": {}}
     records = {name: make.load(figure) | before for name, figure in figures.items()}
@@ -132,10 +150,7 @@ def test_what_tracks_give_ages_no_figure_of_detection_alone(make, monkeypatch, t
     for name, record in records.items():
         make.save(figures[name], record)
     monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
-    runs = [
-        SimpleNamespace(title="a", detector="fast", is_tracked=True, differences=["other rows"]),
-        SimpleNamespace(title="b", detector="fast", is_tracked=False, differences=[]),
-    ]
+    runs = [run_of("a", ["other rows"], **differing), run_of("b", [])]
     monkeypatch.setattr(make, "compared", lambda *_: runs)
     make.compare_rows([])
     assert {name: make.is_fresh(one) for name, one in figures.items()} == {
