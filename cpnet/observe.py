@@ -1,8 +1,7 @@
 """Attaches observers to a run: `cpnet view`, `top`, `record`; `foxglove` converts a recording.
 
 Packages of extras, and those that take long to import, are imported when they are needed. Then the
-priority is lowered: a run may be going on. On a machine that is full, idle work gets a hundredth of
-a core, by which imports alone would take minutes.
+priority is lowered: a run may be going on.
 """
 
 from __future__ import annotations

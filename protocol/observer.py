@@ -20,6 +20,7 @@ from protocol.messages import Message, Setup
 from protocol.topics import QUERIED, TOPICS, BusName
 
 ALL_TOPICS = frozenset(TOPICS) - QUERIED
+NICE = 10  # a tenth of the share of a process at 0 that wants the same core
 _ASK_S = 2.0
 _CLOSE_S = 1.0
 _POLL_S = 0.1
@@ -28,12 +29,12 @@ T = TypeVar("T")
 
 
 def lower_priority() -> None:
-    """Lets all other processes run first (SCHED_IDLE), whatever priority this one started with.
+    """Lets other processes run before the calling thread: sets its nice value to `NICE` or more.
 
-    A low nice value still keeps a core for milliseconds from a process that wakes up meanwhile,
-    which a frame that passes through many processes feels; idle work yields it at once.
+    Not as idle work (SCHED_IDLE): where all cores are busy that hardly runs, and while it holds the
+    interpreter's lock, Zenoh's threads of this process wait for it, and publishers for them.
     """
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    os.setpriority(os.PRIO_PROCESS, 0, max(os.getpriority(os.PRIO_PROCESS, 0), NICE))
 
 
 class Observer:

@@ -4,9 +4,9 @@ Each figure of the registry has a file `docs/figures/NAME.json`: what was measur
 command, at which commit, on what machine, in how long, and a digest of all that made it. Pages show
 its parts between `<!-- figure: NAME.PART -->` and `<!-- /figure -->`; below stands its age. It is
 older than its command, study file and code if the digest is another one now. What is fresh is not
-measured again, so that an interrupted call goes on where it was. `--same` finds out whether a
-change of the code left the rows of runs as they were, see `same_rows`; then figures of rows are
-fresh still.
+measured again, so that an interrupted call goes on where it was. `--same` finds out whether the code
+is still that of the commit measured, or a change of it left the rows of runs as they were, see
+`same_rows`; then figures are fresh still.
 """
 
 from __future__ import annotations
@@ -23,13 +23,15 @@ import sys
 import time
 import tokenize
 from collections.abc import Iterator
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from registry import FIGURES, LEARNED, OTHER_COMMANDS, Figure, Part
-from same_rows import compared, compared_policies
+from figure import OTHER_COMMANDS, Figure, Part
+from registry import FIGURES, LEARNED
+from same_rows import compared, compared_policies, tree_of
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = Path(__file__).resolve().parent
@@ -113,7 +115,31 @@ def age(figure: Figure, record: Record) -> str:
     if record["sources"] == digest(figure):
         return measured
     same = record["same"]
+    if not same["runs"]:
+        return f"{measured}; commit {same['commit'][:7]} has the same code"
     return f"{measured}; in {same['runs']} runs commit {same['commit'][:7]} gives the same rows"
+
+
+def compare_code(names: list[str]) -> None:
+    """Marks the older figures whose code is still that of the commit measured or compared.
+
+    So it is where the list of what a figure measures has become shorter, or a change was undone.
+
+    Raises:
+        subprocess.CalledProcessError: a commit is not there any more.
+    """
+    now = _git("rev-parse", "HEAD")
+    for figure in FIGURES.values():
+        record = load(figure)
+        chosen = not names or figure.name in names
+        if not chosen or not record or not record["commit"] or is_fresh(figure):
+            continue
+        known = record.get("same") or {"commit": now, "runs": 0}
+        then = known["commit"] if known["runs"] else record["commit"]
+        with tree_of(ROOT, WORK / "same", then) as tree, suppress(FileNotFoundError):
+            if record["command"] == figure.command and digest(figure, tree) == digest(figure):
+                sys.stderr.write(f"{figure.name}: the same code as at {then[:7]}\n")
+                save(figure, record | {"same": known | {"sources": digest(figure)}})
 
 
 def compare_rows(names: list[str]) -> None:
@@ -291,7 +317,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="write the pages, measure nothing")
     parser.add_argument("--again", action="store_true", help="measure what is fresh, too")
     parser.add_argument(
-        "--same", action="store_true", help="measure nothing; compare rows with those measured"
+        "--same", action="store_true", help="measure nothing; compare code and rows with those then"
     )
     parser.add_argument("--within", type=int, help="leave out what takes more minutes than this")
     options = parser.parse_args()
@@ -302,6 +328,7 @@ def main() -> None:
         _list()
         return
     if options.same:
+        compare_code(options.names)
         compare_rows(options.names)
     for figure in [] if options.write or options.same else FIGURES.values():
         chosen = not options.names or figure.name in options.names

@@ -1,105 +1,16 @@
-"""All figures of README and docs: command, what code it measures, minutes, where it is shown."""
+"""All figures of README and docs."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import replace
 
+from control_figures import CONTROL_FIGURES
+from figure import AGENTS, PERCEPTION, STUDY, SYSTEM, Figure, Part, needs_resco, rows_of
 from layouts import cities, codecs, comparison, detection, links, runs, worlds
-from layouts.tables import Table
 
-AGENTS = ("protocol", "sensing", "vehicle_agent", "infra_agent", "sim_host")
-PERCEPTION = ("perception", "edge_server")
-SYSTEM = (
-    *AGENTS,
-    *PERCEPTION,
-    "signal_controller",
-    "link_relay",
-    "recording",
-    "cpnet/supervisor.py",
-)
-STUDY = (*SYSTEM, "studies", "learning")
-OTHER_COMMANDS = (
-    *("studies/bench*.py", "studies/compare*.py", "studies/control*.py"),
-    *("studies/run_pool.py", "studies/perceived_study.py"),
-    *("studies/comparison.py", "studies/trajectories.py", "studies/trajectory_section.py"),
-)
-"""Of `cpnet bench`, `compare`, `study control`, `report`: no figure's but where it names them."""
-CONTROL = (
-    *("sim_host", "protocol", "signal_controller"),
-    *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),
-)
 _READING = ("recording/foreign_scans", "learning/kitti_object.py", "sensing/point_files.py")
 LEARNED = ("pointpillars",)
 """Detectors whose weights change rows. Runs of `pointpillars-full` are not compared."""
-
-
-def _given(*names: str) -> str:
-    """Returns commands that stop unless these variables name folders of source distributions."""
-    folders = " ".join(f'"${{{name}:-}}"' for name in names)
-    return (
-        f'for folder in {folders}; do [ -d "$folder" ] || {{ echo "{", ".join(names)}: must be '
-        'unpacked source distributions, see docs/figures/public_scans.py" >&2; exit 1; }; done; '
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What a page shows of a figure; without a layout it was written by hand and is only kept."""
-
-    name: str
-    page: str
-    layout: Callable[[Any], Table | str] | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A command that prints JSON on stdout, or writes files: whole pages, pictures.
-
-    The shell runs it in `runs/figures`, `$ROOT` is the repository. Without a command it cannot be
-    made again by `scripts/figures`. One `of_rows` tells of what runs gave, and nothing of how fast;
-    if `learned`, some of these of the detector `pointpillars`; if not `tracked`, all of these of
-    detection alone; if `predictive`, some of these under predictive control. One `of_policies`
-    tells of what signal policies gave on SUMO alone.
-    """
-
-    name: str
-    command: str
-    sources: tuple[str, ...]
-    minutes: int
-    parts: tuple[Part, ...]
-    files: tuple[str, ...] = ()
-    read: Callable[[str], Any] = field(default=json.loads)
-    of_rows: bool = False
-    of_policies: bool = False
-    learned: bool = False
-    tracked: bool = True
-    predictive: bool = False
-
-    def digests(self, root: Path) -> dict[str, str]:
-        """Returns a hash of each of its files; of pages without the ages put in later."""
-        found = {}
-        for path in sorted(path for name in self.files for path in root.glob(name)):
-            data = path.read_bytes()
-            if path.suffix == ".md":
-                data = re.sub(rb"\n<!-- figure: .*?<!-- /figure -->\n", b"", data, flags=re.DOTALL)
-            found[str(path.relative_to(root))] = hashlib.sha256(data).hexdigest()[:16]
-        return found
-
-
-def _needs_resco(*nets: str) -> str:
-    """Returns a command that fails where RESCO's nets are not there."""
-    return (
-        f"for net in {' '.join(nets)}; do [ -e resco/$net ] || {{ echo "
-        '"runs/figures/resco/$net is missing: a folder of RESCO\'s nets" >&2; exit 1; }; done; '
-    )
-
-
 _MINE = (
     'python -c \'import os, re, pathlib; page = pathlib.Path(os.environ["ROOT"]); '
     'text = (page / "docs/own-junction.md").read_text("utf-8"); '
@@ -120,44 +31,13 @@ _SOAK = " ".join(
 _HARD15 = "cpnet dataset hard15 --networks 100 --samples 10 --seed 1 --realism hard --split test"
 
 
-def _rows_of(folder: str) -> str:
-    """Returns the command that prints a study's table as JSON."""
-    read = f'import json, pyarrow.parquet as p; t = p.read_table("{folder}/results.parquet")'
-    return f"python -c '{read}; print(json.dumps(t.to_pylist()))'"
-
-
-def _network(name: str, minutes: int, *more: str) -> Figure:
-    """Returns the figure of policies, and of more of them, on a built-in net of several signals."""
-    policies = ", ".join(["webster", "actuated", "max_pressure", *more, "predictive"])
-    return Figure(
-        name,
-        f"cpnet study control_city --set 'nets={{{name}: [1]}}' "
-        f"--set 'policies=[{policies}]' --out {name} --json",
-        (*CONTROL, "studies/builtin/control_city.yaml"),
-        minutes,
-        (Part("all", "docs/control.md", comparison.tuned_networks),),
-        of_policies=name != "town",  # which nothing compares: it takes too long
+def _given(*names: str) -> str:
+    """Returns commands that stop unless these variables name folders of source distributions."""
+    folders = " ".join(f'"${{{name}:-}}"' for name in names)
+    return (
+        f'for folder in {folders}; do [ -d "$folder" ] || {{ echo "{", ".join(names)}: must be '
+        'unpacked source distributions, see docs/figures/public_scans.py" >&2; exit 1; }; done; '
     )
-
-
-def _loop(name: str, page: str, minutes: int, study: str = "", needs: str = "") -> Figure:
-    """Returns control on perception beside tuned baselines; `study` is run, with its options."""
-    return Figure(
-        f"loop-{name}",
-        f"{needs}cpnet study $ROOT/docs/figures/{study or f'loop_{name}.yaml'} "
-        f"--out loop_{name} --json",
-        (*SYSTEM, *CONTROL, "studies/perceived_case.py", "studies/perceived_study.py"),
-        minutes,
-        (Part("all", page, comparison.loop),),
-        of_rows=True,
-        predictive=True,
-    )
-
-
-def _loop_resco(name: str, *nets: str, minutes: int) -> Figure:
-    chosen = ", ".join(f"resco/{net}: [1]" for net in nets)
-    study = f"loop_resco.yaml --set name=loop_{name} --set 'nets={{{chosen}}}'"
-    return _loop(name, "docs/city.md", minutes, study, _needs_resco(*nets))
 
 
 def _study_figures(
@@ -178,7 +58,7 @@ def _study_figures(
         of_rows=True,
         **shown,
     )
-    rows = f"{run} >&2; {_rows_of(study)}"
+    rows = f"{run} >&2; {rows_of(study)}"
     return whole, replace(whole, name=f"{study}-readme", command=rows, parts=(part,), files=())
 
 
@@ -403,7 +283,7 @@ _LIST = (
     Figure(
         "unseen",
         f"rm -rf hard15; {_HARD15} >&2; "
-        "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; " + _rows_of("unseen"),
+        "cpnet study $ROOT/docs/figures/unseen.yaml --out unseen >&2; " + rows_of("unseen"),
         (*STUDY, "cpnet/realism"),
         10,
         (Part("all", "docs/realism.md", worlds.unseen),),
@@ -423,7 +303,7 @@ _LIST = (
     Figure(
         "counts",
         f"[ -e hard15 ] || {_HARD15} >&2; "
-        "cpnet study $ROOT/docs/figures/counts.yaml --out counts >&2; " + _rows_of("counts"),
+        "cpnet study $ROOT/docs/figures/counts.yaml --out counts >&2; " + rows_of("counts"),
         (*STUDY, "cpnet/realism"),
         15,
         (Part("all", "docs/tracking.md", worlds.counts),),
@@ -461,58 +341,7 @@ _LIST = (
         of_rows=True,
         tracked=False,
     ),
-    Figure(
-        "delay",
-        "cpnet study $ROOT/docs/figures/delay.yaml --out delay >&2; " + _rows_of("delay"),
-        STUDY,
-        25,
-        (
-            Part("all", "docs/comparison.md", comparison.delay),
-            Part("readme", "README.md", comparison.delay_short),
-        ),
-        of_rows=True,
-        predictive=True,
-    ),
-    Figure(
-        "tuned",
-        "cpnet study $ROOT/docs/figures/tuned.yaml --out tuned --json",
-        CONTROL,
-        8,
-        (Part("all", "docs/comparison.md", comparison.tuned),),
-        of_policies=True,
-    ),
-    Figure(
-        "demands",
-        "cpnet study $ROOT/docs/figures/demands.yaml --out demands --json",
-        CONTROL,
-        20,
-        (Part("all", "docs/control.md", comparison.tuned),),
-        of_policies=True,
-    ),
-    _network("corridor", 15, "max_wave"),
-    _network("grid", 25),
-    _network("town", 45),
-    _loop("t", "docs/control.md", 40),
-    _loop("paper", "docs/control.md", 55),
-    _loop("peak", "docs/control.md", 55),
-    _loop_resco("cologne", "cologne1", "cologne3", minutes=30),
-    _loop_resco("ingolstadt1", "ingolstadt1", minutes=15),
-    _loop_resco("ingolstadt7", "ingolstadt7", minutes=45),
-    Figure(
-        "reports",
-        _needs_resco("cologne1", "ingolstadt1") + "export OWN='--seeds 5 --processes 2 --json'; "
-        "for traffic in 't_junction --demand 1' 't_junction --demand 1.4' resco/cologne1 "
-        "resco/ingolstadt1; do for share in 1 0.3 0.1 0.05; do printf '\\f'; cpnet bench control "
-        "--net $traffic --policies predictive --reporting $share $OWN; done; printf '\\f'; "
-        "cpnet bench control --net $traffic --policies webster $OWN; done",
-        (
-            *("sim_host", "protocol", "signal_controller", "studies/bench_control.py"),
-            *(f"studies/control_{one}.py" for one in ("baselines", "case", "run")),
-        ),
-        40,
-        (Part("delay", "docs/control.md", comparison.reports),),
-        read=comparison.of_lists,
-    ),
+    *CONTROL_FIGURES,
     Figure(
         "lidars",
         "python $ROOT/docs/figures/study_rows.py",
@@ -528,7 +357,7 @@ _LIST = (
     Figure(
         "alignment",
         "cpnet study $ROOT/docs/figures/alignment.yaml --out alignment >&2; "
-        + _rows_of("alignment"),
+        + rows_of("alignment"),
         STUDY,
         15,
         (Part("poses", "docs/realism.md", worlds.alignment),),
@@ -536,7 +365,7 @@ _LIST = (
     ),
     Figure(
         "city-run",
-        f"{_needs_resco('cologne3', 'ingolstadt7')}rm -rf city-3 city-7; "
+        f"{needs_resco('cologne3', 'ingolstadt7')}rm -rf city-3 city-7; "
         f"{_CITY_UP} --sumocfg resco/cologne3/cologne3.sumocfg --out city-3 >&2; "
         f"{_CITY_UP} --sumocfg resco/ingolstadt7/ingolstadt7.sumocfg --regions 2 --out city-7 >&2; "
         "printf '{\"cologne3\": '; cpnet report city-3 --json; "

@@ -51,7 +51,7 @@ def compared(root: Path, work: Path, then: str, now: str) -> list[Compared]:
     work.mkdir(parents=True, exist_ok=True)
     shutil.copy(root / RUNS, work)
     made = _made(root, work, now)
-    with _tree_of(root, work, then) as tree:
+    with tree_of(root, work, then) as tree:
         before = _made(tree, work, then)
     return [
         Compared(
@@ -73,7 +73,7 @@ def compared_policies(root: Path, work: Path, then: str, now: str) -> list[Compa
     """
     work.mkdir(parents=True, exist_ok=True)
     after = _benched(root, work, now)
-    with _tree_of(root, work, then) as tree:
+    with tree_of(root, work, then) as tree:
         before = _benched(tree, work, then)
     return [
         Compared(
@@ -120,7 +120,7 @@ class _Made:
 
 
 @contextmanager
-def _tree_of(root: Path, work: Path, commit: str) -> Iterator[Path]:
+def tree_of(root: Path, work: Path, commit: str) -> Iterator[Path]:
     """Yields a worktree of its own with the code of a commit."""
     tree = work / f"tree-{commit[:7]}"
     if not tree.exists():

@@ -121,6 +121,33 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     assert commits == ["0123456789"] * 2
 
 
+def test_a_figure_stays_fresh_where_the_code_is_that_of_its_commit(
+    make, monkeypatch, tmp_path
+) -> None:
+    figure = make.FIGURES["uplink"]  # of speed: no rows tell whether it is fresh
+    record = make.load(figure) | {"sources": "before", "commit": "0123456789", "same": {}}
+    monkeypatch.setattr(make, "FOLDER", tmp_path)
+    monkeypatch.setattr(make, "FIGURES", {"uplink": figure})
+    make.save(figure, record)
+    monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
+    asked = []
+
+    def tree_of(root: Path, work: Path, commit: str) -> nullcontext:
+        asked.append(commit)
+        return nullcontext(tmp_path / "then")
+
+    trees = {make.ROOT: "now", tmp_path / "then": "then"}
+    monkeypatch.setattr(make, "tree_of", tree_of)
+    monkeypatch.setattr(make, "digest", lambda _, root=make.ROOT: trees[root])
+    make.compare_code([])
+    assert not make.is_fresh(figure), "another code"
+    trees[tmp_path / "then"] = "now"
+    make.compare_code(["uplink"])
+    assert make.age(figure, make.load(figure)).endswith("; commit c0ffee0 has the same code")
+    make.compare_code([])  # it is fresh, and not compared again
+    assert asked == ["0123456789"] * 2
+
+
 def run_of(
     title: str,
     differences: list[str],
@@ -170,7 +197,7 @@ def test_a_figure_of_policies_stays_fresh_where_these_give_the_same_rows(
     make.save(figure, record)
     monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
     same_rows = sys.modules["same_rows"]
-    monkeypatch.setattr(same_rows, "_tree_of", lambda *_: nullcontext(tmp_path))
+    monkeypatch.setattr(same_rows, "tree_of", lambda *_: nullcontext(tmp_path))
     rows = {
         commit: [
             {"net": "grid", "policy": "webster", "seed": 1, "delay_s": 7.0, "decide_p50_ms": ms}
