@@ -4,8 +4,8 @@ Each figure of the registry has a file `docs/figures/NAME.json`: what was measur
 command, at which commit, on what machine, in how long, and a digest of all that made it. Pages show
 its parts between `<!-- figure: NAME.PART -->` and `<!-- /figure -->`; below stands its age. It is
 older than its command, study file and code if the digest is another one now. What is fresh is not
-measured again, so that an interrupted call goes on where it was. `--same` finds out whether the code
-is still that of the commit measured, or a change of it left the rows of runs as they were, see
+measured again, so that an interrupted call goes on where it was. `--same` finds out whether the
+code is still that of the commit measured, or a change of it left the rows of runs as they were, see
 `same_rows`; then figures are fresh still.
 """
 
