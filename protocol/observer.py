@@ -1,4 +1,4 @@
-"""Observers of a run: they attach to both buses, publish nothing and delay no process.
+"""Observers of a run: they attach to both buses and publish nothing.
 
 An observer attaches and detaches at any time; no process waits for it, except for a recording on
 the same machine. `FrameBuffer` keeps the messages of the newest frames undecoded.
@@ -29,11 +29,14 @@ T = TypeVar("T")
 
 
 def lower_priority() -> None:
-    """Lets other processes run before the calling thread: sets its nice value to `NICE` or more.
+    """Leaves most of a busy core to others: the calling thread's nice value becomes `NICE` or more.
 
-    Not as idle work (SCHED_IDLE): where all cores are busy that hardly runs, and while it holds the
-    interpreter's lock, Zenoh's threads of this process wait for it, and publishers for them.
+    Real-time priority ends. Not as idle work (SCHED_IDLE): where all cores are busy that hardly
+    runs, and while it holds the interpreter's lock, Zenoh's threads of this process wait for it,
+    and publishers for them.
     """
+    if os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.setpriority(os.PRIO_PROCESS, 0, max(os.getpriority(os.PRIO_PROCESS, 0), NICE))
 
 

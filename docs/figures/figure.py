@@ -30,7 +30,7 @@ OTHER_COMMANDS = (
     *("protocol/observer.py", "recording/mcap/*.py"),
 )
 """Of `cpnet bench`, `compare`, `study control`, `report`, `view`, `record`: no figure's but where
-it names them."""
+it names them, as one must that uses them."""
 CONTROL = (
     *("sim_host", "protocol", "signal_controller"),
     *(f"studies/control_{one}.py" for one in ("baselines", "case", "file", "run", "study")),

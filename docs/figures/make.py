@@ -23,7 +23,6 @@ import sys
 import time
 import tokenize
 from collections.abc import Iterator
-from contextlib import suppress
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -116,30 +115,39 @@ def age(figure: Figure, record: Record) -> str:
         return measured
     same = record["same"]
     if not same["runs"]:
-        return f"{measured}; commit {same['commit'][:7]} has the same code"
+        return f"{measured}; what it measures has not changed since"
     return f"{measured}; in {same['runs']} runs commit {same['commit'][:7]} gives the same rows"
 
 
 def compare_code(names: list[str]) -> None:
-    """Marks the older figures whose code is still that of the commit measured or compared.
+    """Marks the older figures whose code is still that of the commit compared, else measured.
 
     So it is where the list of what a figure measures has become shorter, or a change was undone.
-
-    Raises:
-        subprocess.CalledProcessError: a commit is not there any more.
+    Says of each what was found.
     """
-    now = _git("rev-parse", "HEAD")
     for figure in FIGURES.values():
         record = load(figure)
         chosen = not names or figure.name in names
         if not chosen or not record or not record["commit"] or is_fresh(figure):
             continue
-        known = record.get("same") or {"commit": now, "runs": 0}
-        then = known["commit"] if known["runs"] else record["commit"]
-        with tree_of(ROOT, WORK / "same", then) as tree, suppress(FileNotFoundError):
-            if record["command"] == figure.command and digest(figure, tree) == digest(figure):
-                sys.stderr.write(f"{figure.name}: the same code as at {then[:7]}\n")
-                save(figure, record | {"same": known | {"sources": digest(figure)}})
+        known = record.get("same") or {}
+        if not known.get("runs"):
+            known = {"commit": record["commit"], "runs": 0}
+        was_measured = record.get("is_committed", True) and record["command"] == figure.command
+        is_same = was_measured and _was_same(figure, known["commit"])
+        says = "the same code as" if is_same else "not the code"
+        sys.stderr.write(f"{figure.name}: {says} at {known['commit'][:7]}\n")
+        if is_same:
+            save(figure, record | {"same": known | {"sources": digest(figure)}})
+
+
+def _was_same(figure: Figure, commit: str) -> bool:
+    """Whether a commit has the code that a figure measures; not where one of them is missing."""
+    try:
+        with tree_of(ROOT, WORK / "same", commit) as tree:
+            return digest(figure, tree) == digest(figure)
+    except (FileNotFoundError, subprocess.CalledProcessError):
+        return False
 
 
 def compare_rows(names: list[str]) -> None:
@@ -172,7 +180,7 @@ def compare_rows(names: list[str]) -> None:
             found = [f"{run.title}: {one}" for run in runs for one in run.differences]
             says = "\n  ".join(found) or f"the same rows in {len(runs)} runs"
             sys.stderr.write(f"{figure.name}, measured at {commit[:7]}: {says}\n")
-            if not found:
+            if runs and not found:
                 same = {"commit": now, "sources": digest(figure), "runs": len(runs)}
                 save(figure, (load(figure) or {}) | {"same": same})
 
@@ -200,6 +208,7 @@ def measure(figure: Figure) -> None:
     record: Record = {
         "command": figure.command,
         "commit": _git("rev-parse", "HEAD"),
+        "is_committed": not _git("status", "--porcelain", "--", *figure.sources),
         "date": datetime.now(UTC).date().isoformat(),
         "machine": {"cpu": _cpu(), "cores": os.cpu_count()},
         "minutes": round(minutes, 1),

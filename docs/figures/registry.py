@@ -237,7 +237,7 @@ _LIST = (
         "soak",
         f"$ROOT/scripts/soak --minutes 30 --kills 200 --seed 1 --out soak {_SOAK} "
         "--markdown soak.md >&2; cat soak.md",
-        (*SYSTEM, "tests/soak"),
+        (*SYSTEM, "protocol/observer.py", "tests/soak"),
         31,
         (Part("all", "docs/reliability.md", runs.text),),
         read=runs.as_text,

@@ -56,13 +56,6 @@ cli.command()
 _SETTINGS = {"COLUMNS": "120", "PYTHONWARNINGS": "error"}
 
 
-def raise_priority(pid: int) -> None:
-    """Gives an observer as much time as others get: it has what they leave, here nothing."""
-    with suppress(OSError):  # it has ended, or a thread of it
-        for thread in Path(f"/proc/{pid}/task").iterdir():
-            os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
-
-
 class Command:
     """A `cpnet` command that was started: its process, and what it prints."""
 

@@ -121,31 +121,65 @@ def test_a_figure_of_rows_stays_fresh_where_the_code_gives_the_same_rows(
     assert commits == ["0123456789"] * 2
 
 
-def test_a_figure_stays_fresh_where_the_code_is_that_of_its_commit(
-    make, monkeypatch, tmp_path
-) -> None:
-    figure = make.FIGURES["uplink"]  # of speed: no rows tell whether it is fresh
-    record = make.load(figure) | {"sources": "before", "commit": "0123456789", "same": {}}
+@pytest.fixture
+def uplink(make, monkeypatch, tmp_path) -> SimpleNamespace:
+    """Returns a figure of speed, which no rows tell whether it is fresh, in a folder of its own.
+
+    `trees` says what digest the code of each commit has, `now` which the code has today.
+    """
+    figure = make.FIGURES["uplink"]
+    record, trees = make.load(figure), {make.ROOT: "now"}
     monkeypatch.setattr(make, "FOLDER", tmp_path)
     monkeypatch.setattr(make, "FIGURES", {"uplink": figure})
-    make.save(figure, record)
-    monkeypatch.setattr(make, "_git", lambda *_: "c0ffee0123")
-    asked = []
+    monkeypatch.setattr(make, "tree_of", lambda root, work, commit: nullcontext(commit))
 
-    def tree_of(root: Path, work: Path, commit: str) -> nullcontext:
-        asked.append(commit)
-        return nullcontext(tmp_path / "then")
+    def digest(_, root=make.ROOT) -> str:
+        if root not in trees:
+            raise FileNotFoundError(root)
+        return trees[root]
 
-    trees = {make.ROOT: "now", tmp_path / "then": "then"}
-    monkeypatch.setattr(make, "tree_of", tree_of)
-    monkeypatch.setattr(make, "digest", lambda _, root=make.ROOT: trees[root])
-    make.compare_code([])
-    assert not make.is_fresh(figure), "another code"
-    trees[tmp_path / "then"] = "now"
+    monkeypatch.setattr(make, "digest", digest)
+    stored = {"sources": "before", "commit": "0123456", "command": figure.command}
+
+    def store(**changes: object) -> None:
+        make.save(figure, record | stored | {"same": {}} | changes)
+
+    return SimpleNamespace(figure=figure, trees=trees, store=store)
+
+
+@pytest.mark.parametrize(
+    ("same", "compared", "says"),
+    [
+        ({}, "0123456", "; what it measures has not changed since"),
+        ({"commit": "c0ffee0", "runs": 13, "sources": "old"}, "c0ffee0", "13 runs commit c0ffee0"),
+    ],
+)
+def test_a_figure_stays_fresh_where_the_code_is_that_of_its_commit(
+    make, uplink, same, compared, says
+) -> None:
+    uplink.store(same=same)
+    uplink.trees[compared] = "now"
     make.compare_code(["uplink"])
-    assert make.age(figure, make.load(figure)).endswith("; commit c0ffee0 has the same code")
-    make.compare_code([])  # it is fresh, and not compared again
-    assert asked == ["0123456789"] * 2
+    assert make.is_fresh(uplink.figure)
+    assert says in make.age(uplink.figure, make.load(uplink.figure))
+
+
+@pytest.mark.parametrize(
+    ("tree", "changes"),
+    [
+        ("another", {}),  # code
+        (None, {}),  # a file that it measures was not there
+        ("now", {"command": "cpnet bench uplink --seed 2"}),
+        ("now", {"is_committed": False}),  # measured with changes that no commit has
+    ],
+)
+def test_a_figure_of_other_code_stays_older(make, uplink, capsys, tree, changes) -> None:
+    uplink.store(**changes)
+    if tree is not None:
+        uplink.trees["0123456"] = tree
+    make.compare_code([])
+    assert not make.is_fresh(uplink.figure)
+    assert "uplink: not the code at 0123456" in capsys.readouterr().err
 
 
 def run_of(

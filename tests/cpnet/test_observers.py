@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cpnet.commands import UNHURRIED, Shell, raise_priority
+from tests.cpnet.commands import UNHURRIED, Shell
 from tests.waiting import wait_until
 
 LEFT_SCREEN = "\x1b[?1049l"  # what makes a terminal show again what was there before
@@ -42,7 +42,6 @@ class Terminal:
 
         def is_there() -> bool:
             nonlocal seen
-            raise_priority(self.process.pid)
             with suppress(OSError):  # nothing new, or the writer has ended
                 seen += os.read(self._own, 1 << 16).decode(errors="replace")
             return text in seen
@@ -89,7 +88,6 @@ def test_a_run_is_kept_as_a_drawing(shell: Shell) -> None:
     run.read_until("vehicles")
     view = shell.start("view", "run", "--save", "run.rrd")
     view.read_until("writing")
-    raise_priority(view.process.pid)
     kept = shell.folder / "run.rrd"
     view.wait_until(lambda: kept.stat().st_size > ENOUGH_BYTES)
     view.process.send_signal(signal.SIGINT)

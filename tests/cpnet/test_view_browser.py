@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from studies import palette
-from tests.cpnet.commands import UNHURRIED, Shell, free_port, raise_priority
+from tests.cpnet.commands import UNHURRIED, Shell, free_port
 from viewer.layers import Rgb, rgb
 
 pytest.importorskip("rerun", reason="the extra `view` is not installed")
@@ -71,7 +71,6 @@ def test_a_browser_draws_cloud_boxes_and_plots_of_a_live_run(
     view = shell.start("view", "run", "--web", "--port", free_port(), "--fps=1")
     found = re.search(r"http://\S+", view.read_until("http://"))
     assert found is not None
-    raise_priority(view.process.pid)
     page.goto(found[0])
     kept = request.config.cache.mkdir("view") / "view.png"
     seen: dict[str, int] = {}

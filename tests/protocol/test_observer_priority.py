@@ -3,6 +3,8 @@
 import os
 import threading
 
+import pytest
+
 from protocol.observer import NICE, lower_priority
 
 
@@ -33,3 +35,20 @@ def test_one_that_is_lower_already_is_not_raised():
         return own_priority()
 
     assert in_a_thread(lowered_twice) == [(os.SCHED_OTHER, 19)]
+
+
+@pytest.mark.parametrize("policy", [os.SCHED_FIFO, os.SCHED_RR])
+def test_real_time_priority_of_the_run_is_given_up(policy):
+    def lowered() -> tuple[int, int] | None:
+        try:
+            os.sched_setscheduler(0, policy, os.sched_param(1))
+        except PermissionError:
+            return None
+        lower_priority()
+        return own_priority()
+
+    [found] = in_a_thread(lowered)
+    if found is None:
+        pytest.skip("needs the right to set real-time priority")
+    assert found[0] == os.SCHED_OTHER
+    assert found[1] >= NICE
