@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.messages import SignalState
 from signal_controller.observation import LaneVehicles, SignalSite, VehicleAssociation
-from signal_controller.predictive_discharge import Problem
+from signal_controller.predictive_discharge import Problem, can_stop
 from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
@@ -123,7 +123,9 @@ class PredictivePlanner:
         if left_s > 1e-6:
             return model.phases[phase]
         forced = self._overdue_phase(time_s, phase)
-        problem = self.problem(time_s, self.arrivals(vehicles), phase)
+        expected = self.expected(vehicles)
+        passing = self.passing(expected, vehicles.speeds_mps)
+        problem = self.problem(time_s, self.arrivals(expected), phase, passing)
         self.planned_s = time_s
         self.plan = self._planned(problem, forced)
         if forced is not None:
@@ -173,8 +175,17 @@ class PredictivePlanner:
         first = max(0, now - 1)
         return phases[first:], now - first + 1
 
-    def problem(self, time_s: float, arrivals: Floats, phase: int) -> Problem:
-        """Returns the search problem at a time at which a phase is shown; see `arrivals`."""
+    def problem(
+        self, time_s: float, arrivals: Floats, phase: int, passing: Floats | None = None
+    ) -> Problem:
+        """Returns the search problem at a time at which a phase is shown.
+
+        Args:
+            time_s: of the vehicles.
+            arrivals: see `arrivals`.
+            phase: that is shown.
+            passing: see `passing`; without it, nobody passes in a yellow that begins now.
+        """
         model, memory = self.model, self.memory
         may = memory.shares * memory.has_room
         status = model.pair_status
@@ -182,6 +193,8 @@ class PredictivePlanner:
         begin = np.where(np.isinf(since_s), 0.0, since_s - time_s) + memory.lost_s
         return Problem(
             arrivals=arrivals,
+            passing=np.zeros_like(arrivals) if passing is None else passing,
+            is_known=self.queues.is_seen,
             protected=np.where(status == PROTECTED, may, 0.0) @ model.lane_of,
             permitted=np.where(status == PERMITTED, may, 0.0) @ model.lane_of,
             head=memory.head_may_go(model.status),
@@ -199,17 +212,28 @@ class PredictivePlanner:
             free=0,
         )
 
-    def arrivals(self, vehicles: LaneVehicles) -> Floats:
+    def arrivals(self, expected: ExpectedVehicles) -> Floats:
         """Returns (L, T): vehicles expected at each stop bar in each step.
 
-        Each counts in the first step that begins after it is there: one that comes into the second
-        step after a change was asked for brakes at yellow, and few are as fast as allowed. Those
-        that queue unseen stand at the stop bar; others may arrive from where no sensor covers.
+        Each counts in the first step that begins after it is there: of those that a later yellow
+        catches few are as fast as allowed. Those that queue unseen stand at the stop bar; others
+        may arrive from where no sensor covers.
         """
-        expected = self.expected(vehicles)
         result = np.zeros((len(self.model.lanes), self.steps))
-        add_arrivals(result, np.ceil(expected.arrival_s / STEP_S) * STEP_S, expected.shares)
+        add_arrivals(result, _step_begins_s(expected), expected.shares)
         self.add_unseen(result)
+        return result
+
+    def passing(self, expected: ExpectedVehicles, speeds_mps: Floats) -> Floats:
+        """Returns the arrivals (L, T) that could not stop if yellow began now.
+
+        Args:
+            expected: the vehicles.
+            speeds_mps: of all `LaneVehicles`.
+        """
+        result = np.zeros((len(self.model.lanes), self.steps))
+        passes = ~can_stop(expected.distances_m, speeds_mps[expected.rows])
+        add_arrivals(result, _step_begins_s(expected)[passes], expected.shares[passes])
         return result
 
     @property
@@ -280,6 +304,11 @@ class PredictivePlanner:
             away_m = np.abs(vehicles.distances_m[order])
             order = np.sort(order[np.argsort(away_m, kind="stable")[:MAX_VEHICLES]])
         return vehicles.take(order)
+
+
+def _step_begins_s(expected: ExpectedVehicles) -> Floats:
+    """Returns the begin of the first step after each vehicle (N,) is there."""
+    return np.asarray(np.ceil(expected.arrival_s / STEP_S) * STEP_S)
 
 
 def add_arrivals(result: Floats, arrival_s: Floats, shares: Floats) -> None:

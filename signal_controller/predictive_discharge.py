@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from signal_controller.predictive_model import Floats, Ints
+from signal_controller.predictive_model import Bools, Floats, Ints
 
 YELLOW_USED_STEPS = 2  # of yellow, in which vehicles still pass
+_BRAKING_MPS2 = 4.5  # at yellow: SUMO's drivers stop if this suffices
 _FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic
 _CRITICAL_GAP_STEPS = 4  # the least gap that they take
 _FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
@@ -27,6 +28,9 @@ class Problem:
 
     Attributes:
         arrivals: (L, T) vehicles that reach the stop bar in each step if nothing holds them.
+        passing: (L, T) of these, the ones that cannot stop any more if their green ends now.
+        is_known: (L,) whether vehicles near the stop bar are known one by one: then those that are
+            `passing`, and no others, pass in a yellow that begins now.
         protected: (R, L) share of a lane's vehicles that may go, with right of way.
         permitted: (R, L) share that may go and yields.
         head: (P, L) probability that the first vehicle of a lane may go in a phase.
@@ -42,6 +46,8 @@ class Problem:
     """
 
     arrivals: Floats
+    passing: Floats
+    is_known: Bools
     protected: Floats
     permitted: Floats
     head: Floats
@@ -57,6 +63,14 @@ class Problem:
     before: int
     ready: int
     free: int
+
+
+def can_stop(distances_m: Floats, speeds_mps: Floats) -> Bools:
+    """Returns whether vehicles (N,) can stop before their stop bars if yellow begins now.
+
+    One whose speed is not known (NaN) can.
+    """
+    return np.asarray(~(distances_m < speeds_mps**2 / (2 * _BRAKING_MPS2)))
 
 
 def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:

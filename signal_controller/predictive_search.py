@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from signal_controller.predictive_discharge import YELLOW_USED_STEPS, Problem, run, turn_head
-from signal_controller.predictive_model import Floats, Ints
+from signal_controller.predictive_model import Bools, Floats, Ints
 
 MAX_STEPS = 120
 _YIELDING = 0.3  # of a lane's discharge, where its turns yield
@@ -61,6 +61,8 @@ def search(
     kept = 4 if phases <= 4 else 2
     path, cost, nodes = _search(
         np.ascontiguousarray(problem.arrivals),
+        np.ascontiguousarray(problem.passing),
+        problem.is_known,
         np.ascontiguousarray(problem.protected),
         np.ascontiguousarray(problem.permitted),
         np.ascontiguousarray(problem.head),
@@ -202,8 +204,32 @@ def _held_up(
 
 
 @njit(cache=True)
+def _end_now(
+    coming: Floats,
+    begin: Floats,
+    arrivals: Floats,
+    passing: Floats,
+    is_known: Bools,
+    was_open: Floats,
+    stays_open: Floats,
+) -> None:
+    """Fills in what is still to come (L, T) if a green ends now, and when lanes discharge (L,).
+
+    On lanes that lose it, whoever cannot stop has passed; the others wait, as far as all are known.
+    """
+    for lane in range(len(begin)):
+        loses = was_open[lane] > 0.0 and stays_open[lane] <= 0.0
+        if loses and is_known[lane]:
+            coming[lane], begin[lane] = arrivals[lane] - passing[lane], np.inf
+        else:
+            coming[lane] = arrivals[lane]
+
+
+@njit(cache=True)
 def _search(
     arrivals: Floats,
+    passing: Floats,
+    is_known: Bools,
     protected: Floats,
     permitted: Floats,
     head: Floats,
@@ -237,6 +263,8 @@ def _search(
     asked = np.zeros(slots, np.int64)  # step at which the last phase was asked for
     count = np.zeros((steps + 1, phases), np.int64)
     work = slots  # the row of arrays that holds a plan while it is extended
+    coming = np.empty_like(arrivals)  # the arrivals of a plan that changes now
+    open_share = protected + permitted
 
     # What is shown must go on until it may end.
     queue[work] = 0.0
@@ -305,11 +333,16 @@ def _search(
                         green = min(steps, step + change)
                         until = min(steps, max(step + change + min_green[after], step + 1))
                         paid += switch_price
+                        come = arrivals
+                        if slot == root and free == 0:
+                            come = coming
+                            _end_now(coming, begin[work], arrivals, passing, is_known,
+                                     open_share[phase], open_share[pair])  # fmt: skip
                         paid += run(queue[work], fresh[work], inside[work], begin[work], phase,
-                                     phase, step, middle, arrivals, protected, permitted, headway_s,
+                                     phase, step, middle, come, protected, permitted, headway_s,
                                      foes, foe_shares, stop_price)  # fmt: skip
                         paid += run(queue[work], fresh[work], inside[work], begin[work], pair,
-                                     phase, middle, green, arrivals, protected, permitted,
+                                     phase, middle, green, come, protected, permitted,
                                      headway_s, foes, foe_shares, stop_price)  # fmt: skip
                         turn_head(queue[work], fresh[work], last_open[work], phase, after,
                                    phases, protected, permitted, head)  # fmt: skip
@@ -317,7 +350,7 @@ def _search(
                             if protected[pair, lane] + permitted[pair, lane] <= 0.0:
                                 begin[work, lane] = step + change + lost_s[lane]
                         paid += run(queue[work], fresh[work], inside[work], begin[work], after,
-                                     after, green, until, arrivals, protected, permitted, headway_s,
+                                     after, green, until, come, protected, permitted, headway_s,
                                      foes, foe_shares, stop_price)  # fmt: skip
                     worth = paid + _left(queue[work], fresh[work], begin[work], until, after,
                                          protected, permitted, left_s, drain_s, served_in,

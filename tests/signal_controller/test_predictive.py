@@ -61,6 +61,8 @@ def two_lanes(waiting: float, coming: float, ahead: int = 40) -> Problem:
     rows = np.array([[1, 0], [0, 1], [1, 0], [0, 0], [0, 0], [0, 1], [0, 0]], float)
     return Problem(
         arrivals=arrivals,
+        passing=np.zeros_like(arrivals),
+        is_known=np.zeros(2, bool),
         protected=rows,
         permitted=np.zeros_like(rows),
         head=rows[:2],
@@ -105,6 +107,8 @@ def longest_queues(main_lanes: int, main_per_s: float, side_per_s: float) -> tup
         problem = replace(
             base,
             arrivals=arrivals,
+            passing=np.zeros_like(arrivals),
+            is_known=np.zeros(lanes, bool),
             protected=on_lanes(base.protected),
             permitted=np.zeros((7, lanes)),
             head=on_lanes(base.head),
@@ -236,8 +240,33 @@ def test_a_vehicle_counts_in_the_first_step_that_begins_after_it_is_there(
     away_m: float, step: int
 ) -> None:
     planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))
-    arrivals = planner.arrivals(vehicles(("n_0", away_m, 13.9)))[LANES.index("n_0")]
+    expected = planner.expected(vehicles(("n_0", away_m, 13.9)))
+    arrivals = planner.arrivals(expected)[LANES.index("n_0")]
     assert int(arrivals.argmax()) == step
+
+
+@pytest.mark.parametrize(
+    ("away_m", "speed_mps", "ends"),
+    [(21.0, 13.9, True), (23.0, 13.9, False), (6.5, 8.0, True), (8.0, 8.0, False)],
+)
+def test_a_green_ends_as_soon_as_its_last_vehicle_can_stop_no_more(
+    away_m: float, speed_mps: float, ends: bool
+) -> None:
+    planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))
+    found = vehicles(("n_0", away_m, speed_mps), *queue("e_0", 2))
+    asked = planner.request(60.0, found, green(NS, 60 * S), dict.fromkeys(LANES, 1.0))
+    assert (asked == EW) is ends
+
+
+def test_of_a_lane_that_is_not_seen_a_queue_is_expected_to_use_the_yellow() -> None:
+    waits = two_lanes(waiting=1, coming=0)
+    waits.arrivals[0, 0] = 1.0
+    known = replace(waits, is_known=np.ones(2, bool))
+    at_once = [search(one, Prices(), 1000, allowed_first=1).cost for one in (waits, known)]
+    assert at_once[0] < at_once[1]
+    passes = replace(known, passing=np.where(np.arange(40) == 0, [[1.0], [0.0]], 0.0))
+    assert search(passes, Prices(), 1000, allowed_first=1).cost < at_once[1]
+    assert search(passes, Prices(), 1000).phases[1] == (1, 0)
 
 
 def test_a_green_is_never_asked_to_end_before_its_minimum() -> None:
