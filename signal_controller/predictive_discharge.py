@@ -16,7 +16,7 @@ from numba import njit
 from signal_controller.predictive_model import Bools, Floats, Ints
 
 YELLOW_USED_STEPS = 2  # of yellow, in which vehicles still pass
-_BRAKING_MPS2 = 4.5  # at yellow: SUMO's drivers stop if this suffices
+_BRAKING_MPS2, _MARGIN_M = 4.5, 1.0  # at yellow: SUMO drivers stop if this suffices
 _FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic
 _CRITICAL_GAP_STEPS = 4  # the least gap that they take
 _FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
@@ -70,7 +70,7 @@ def can_stop(distances_m: Floats, speeds_mps: Floats) -> Bools:
 
     One whose speed is not known (NaN) can.
     """
-    return np.asarray(~(distances_m < speeds_mps**2 / (2 * _BRAKING_MPS2)))
+    return np.asarray(~(distances_m < speeds_mps**2 / (2 * _BRAKING_MPS2) - _MARGIN_M))
 
 
 def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:
