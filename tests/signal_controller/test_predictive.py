@@ -247,7 +247,7 @@ def test_a_vehicle_counts_in_the_first_step_that_begins_after_it_is_there(
 
 @pytest.mark.parametrize(
     ("away_m", "speed_mps", "ends"),
-    [(21.0, 13.9, True), (23.0, 13.9, False), (6.5, 8.0, True), (8.0, 8.0, False)],
+    [(20.0, 13.9, True), (21.0, 13.9, False), (6.0, 8.0, True), (7.0, 8.0, False)],
 )
 def test_a_green_ends_as_soon_as_its_last_vehicle_can_stop_no_more(
     away_m: float, speed_mps: float, ends: bool
