@@ -14,7 +14,7 @@ import numpy as np
 
 from protocol.messages import SignalState
 from signal_controller.observation import LaneVehicles, SignalSite, VehicleAssociation
-from signal_controller.predictive_discharge import Problem, can_stop
+from signal_controller.predictive_discharge import YELLOW_USED_STEPS, Problem, can_stop
 from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
@@ -29,6 +29,7 @@ from signal_controller.queue_filter import QueueFilter
 
 MAX_VEHICLES = 1000
 """Vehicles that one decision considers: the nearest."""
+_YELLOW_S = YELLOW_USED_STEPS * STEP_S  # who comes within these may be too close to stop
 _SOON_STEPS = 10  # a change that is planned within these is tried immediately, see `_planned`
 
 
@@ -40,6 +41,7 @@ class ExpectedVehicles:
         rows: which of the `LaneVehicles` they are.
         lanes: that they are on.
         distances_m: to their stop bars.
+        speeds_mps: of each; what its lane allows where that is not known.
         arrival_s: from now until they are at the stop bar.
         shares: (N, L) probability of each stop bar.
     """
@@ -47,6 +49,7 @@ class ExpectedVehicles:
     rows: list[int]
     lanes: list[str]
     distances_m: Floats
+    speeds_mps: Floats
     arrival_s: Floats
     shares: Floats
 
@@ -124,8 +127,7 @@ class PredictivePlanner:
             return model.phases[phase]
         forced = self._overdue_phase(time_s, phase)
         expected = self.expected(vehicles)
-        passing = self.passing(expected, vehicles.speeds_mps)
-        problem = self.problem(time_s, self.arrivals(expected), phase, passing)
+        problem = self.problem(time_s, self.arrivals(expected), phase, self.passing(expected))
         self.planned_s = time_s
         self.plan = self._planned(problem, forced)
         if forced is not None:
@@ -184,7 +186,7 @@ class PredictivePlanner:
             time_s: of the vehicles.
             arrivals: see `arrivals`.
             phase: that is shown.
-            passing: see `passing`; without it, nobody passes in a yellow that begins now.
+            passing: see `passing`; without it, nobody is taken to be too close to stop.
         """
         model, memory = self.model, self.memory
         may = memory.shares * memory.has_room
@@ -194,7 +196,7 @@ class PredictivePlanner:
         return Problem(
             arrivals=arrivals,
             passing=np.zeros_like(arrivals) if passing is None else passing,
-            is_known=self.queues.is_seen,
+            is_known=self.queues.is_seen & (self.queues.coverage * model.reach_s >= _YELLOW_S),
             protected=np.where(status == PROTECTED, may, 0.0) @ model.lane_of,
             permitted=np.where(status == PERMITTED, may, 0.0) @ model.lane_of,
             head=memory.head_may_go(model.status),
@@ -215,8 +217,8 @@ class PredictivePlanner:
     def arrivals(self, expected: ExpectedVehicles) -> Floats:
         """Returns (L, T): vehicles expected at each stop bar in each step.
 
-        Each counts in the first step that begins after it is there: of those that a later yellow
-        catches few are as fast as allowed. Those that queue unseen stand at the stop bar; others
+        Each counts in the first step that begins after it is there: one that comes into the second
+        step of a later yellow may still stop. Those that queue unseen stand at the stop bar; others
         may arrive from where no sensor covers.
         """
         result = np.zeros((len(self.model.lanes), self.steps))
@@ -224,15 +226,10 @@ class PredictivePlanner:
         self.add_unseen(result)
         return result
 
-    def passing(self, expected: ExpectedVehicles, speeds_mps: Floats) -> Floats:
-        """Returns the arrivals (L, T) that could not stop if yellow began now.
-
-        Args:
-            expected: the vehicles.
-            speeds_mps: of all `LaneVehicles`.
-        """
+    def passing(self, expected: ExpectedVehicles) -> Floats:
+        """Returns the arrivals (L, T) that could not stop if yellow began now."""
         result = np.zeros((len(self.model.lanes), self.steps))
-        passes = ~can_stop(expected.distances_m, speeds_mps[expected.rows])
+        passes = ~can_stop(expected.distances_m, expected.speeds_mps)
         add_arrivals(result, _step_begins_s(expected)[passes], expected.shares[passes])
         return result
 
@@ -256,11 +253,14 @@ class PredictivePlanner:
             [model.free_flow_s(*of) for of in zip(lanes, distances_m.tolist(), strict=True)]
         )
         limits_mps = np.maximum(1.0, distances_m / np.maximum(free_s, 0.1))
+        speeds_mps = vehicles.speeds_mps[rows]
+        speeds_mps = np.where(np.isnan(speeds_mps), limits_mps, np.maximum(speeds_mps, 0.0))
         return ExpectedVehicles(
             rows,
             lanes,
             distances_m,
-            memory.arrival_s(distances_m, vehicles.speeds_mps[rows], limits_mps),
+            speeds_mps,
+            memory.arrival_s(distances_m, speeds_mps, limits_mps),
             np.array([memory.chosen_lanes(one) for one in lanes]).reshape(-1, len(model.lanes)),
         )
 

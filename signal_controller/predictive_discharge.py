@@ -15,8 +15,9 @@ from numba import njit
 
 from signal_controller.predictive_model import Bools, Floats, Ints
 
-YELLOW_USED_STEPS = 2  # of yellow, in which vehicles still pass
-_BRAKING_MPS2, _MARGIN_M = 4.5, 1.0  # at yellow: SUMO drivers stop if this suffices
+YELLOW_USED_STEPS = 2  # in which vehicles still pass: of a later yellow, of one on unknown lanes
+_BRAKING_MPS2 = 4.5  # of SUMO's drivers at yellow: who can stop with it does
+_MARGIN_M = 1.0  # of those who need a little more, some stop too: SUMO brakes in steps
 _FOLLOW_UP_S = 2.5  # between permitted turns that use the same gap in the opposing traffic
 _CRITICAL_GAP_STEPS = 4  # the least gap that they take
 _FORCED_HEADWAY_S = 25.0  # through a dense one: at the end of green
@@ -30,7 +31,9 @@ class Problem:
         arrivals: (L, T) vehicles that reach the stop bar in each step if nothing holds them.
         passing: (L, T) of these, the ones that cannot stop any more if their green ends now.
         is_known: (L,) whether vehicles near the stop bar are known one by one: then those that are
-            `passing`, and no others, pass in a yellow that begins now.
+            `passing`, and no others, pass in a yellow that begins now. On other lanes, on those of
+            which a turn keeps its green, and in a later yellow, a queue discharges for
+            `YELLOW_USED_STEPS`.
         protected: (R, L) share of a lane's vehicles that may go, with right of way.
         permitted: (R, L) share that may go and yields.
         head: (P, L) probability that the first vehicle of a lane may go in a phase.
@@ -66,18 +69,18 @@ class Problem:
 
 
 def can_stop(distances_m: Floats, speeds_mps: Floats) -> Bools:
-    """Returns whether vehicles (N,) can stop before their stop bars if yellow begins now.
+    """Returns whether vehicles (N,) stop before their stop bars if yellow begins now.
 
-    One whose speed is not known (NaN) can.
+    Who stands more than a metre behind the stop bar does not.
     """
-    return np.asarray(~(distances_m < speeds_mps**2 / (2 * _BRAKING_MPS2) - _MARGIN_M))
+    return np.asarray(distances_m >= speeds_mps**2 / (2 * _BRAKING_MPS2) - _MARGIN_M)
 
 
 def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:
     """Returns how many vehicles have passed each stop bar by the end of each step (L, T).
 
     Lanes discharge as in the search, except that the first vehicle is assumed to want what its lane
-    may do.
+    may do, and that a queue discharges for `YELLOW_USED_STEPS` of each yellow.
 
     Args:
         problem: as known now.

@@ -63,8 +63,8 @@ def search(
         np.ascontiguousarray(problem.arrivals),
         np.ascontiguousarray(problem.passing),
         problem.is_known,
-        np.ascontiguousarray(problem.protected),
-        np.ascontiguousarray(problem.permitted),
+        np.concatenate([problem.protected, np.zeros_like(problem.protected[:1])]),
+        np.concatenate([problem.permitted, np.zeros_like(problem.permitted[:1])]),
         np.ascontiguousarray(problem.head),
         problem.inside,
         problem.headway_s,
@@ -206,23 +206,32 @@ def _held_up(
 @njit(cache=True)
 def _end_now(
     coming: Floats,
-    begin: Floats,
     arrivals: Floats,
     passing: Floats,
     is_known: Bools,
-    was_open: Floats,
-    stays_open: Floats,
-) -> None:
-    """Fills in what is still to come (L, T) if a green ends now, and when lanes discharge (L,).
+    inside: Floats,
+    protected: Floats,
+    permitted: Floats,
+    phase: int,
+    pair: int,
+) -> float:
+    """Sets up the yellow of a change that begins now; returns what turners inside wait for it.
 
-    On lanes that lose it, whoever cannot stop has passed; the others wait, as far as all are known.
+    On known lanes that lose their green, those in `passing` are gone, and `coming` (L, T) stop. On
+    others, also where some turns keep their green, the queue discharges as in `phase`. So the last
+    row of `protected` and `permitted` (R + 1, L) holds the shares of one or the other.
     """
-    for lane in range(len(begin)):
-        loses = was_open[lane] > 0.0 and stays_open[lane] <= 0.0
-        if loses and is_known[lane]:
-            coming[lane], begin[lane] = arrivals[lane] - passing[lane], np.inf
-        else:
-            coming[lane] = arrivals[lane]
+    cost = 0.0
+    for lane in range(len(is_known)):
+        was_open = protected[phase, lane] + permitted[phase, lane] > 0.0
+        is_closed = was_open and protected[pair, lane] + permitted[pair, lane] <= 0.0
+        row, coming[lane] = phase, arrivals[lane]
+        if is_closed and is_known[lane]:
+            row, coming[lane] = pair, arrivals[lane] - passing[lane]
+            if permitted[phase, lane] > 0.0:
+                cost += YELLOW_USED_STEPS * inside[lane]
+        protected[-1, lane], permitted[-1, lane] = protected[row, lane], permitted[row, lane]
+    return cost
 
 
 @njit(cache=True)
@@ -264,7 +273,7 @@ def _search(
     count = np.zeros((steps + 1, phases), np.int64)
     work = slots  # the row of arrays that holds a plan while it is extended
     coming = np.empty_like(arrivals)  # the arrivals of a plan that changes now
-    open_share = protected + permitted
+    last_row = len(protected) - 1
 
     # What is shown must go on until it may end.
     queue[work] = 0.0
@@ -333,12 +342,12 @@ def _search(
                         green = min(steps, step + change)
                         until = min(steps, max(step + change + min_green[after], step + 1))
                         paid += switch_price
-                        come = arrivals
+                        come, yellow = arrivals, phase
                         if slot == root and free == 0:
-                            come = coming
-                            _end_now(coming, begin[work], arrivals, passing, is_known,
-                                     open_share[phase], open_share[pair])  # fmt: skip
-                        paid += run(queue[work], fresh[work], inside[work], begin[work], phase,
+                            come, yellow = coming, last_row
+                            paid += _end_now(coming, arrivals, passing, is_known, inside[work],
+                                             protected, permitted, phase, pair)  # fmt: skip
+                        paid += run(queue[work], fresh[work], inside[work], begin[work], yellow,
                                      phase, step, middle, come, protected, permitted, headway_s,
                                      foes, foe_shares, stop_price)  # fmt: skip
                         paid += run(queue[work], fresh[work], inside[work], begin[work], pair,

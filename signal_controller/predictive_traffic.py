@@ -148,8 +148,7 @@ class TrafficMemory:
 
     def arrival_s(self, distance_m: Floats, speed_mps: Floats, limit_mps: Floats) -> Floats:
         """Returns how long vehicles (N,) take to the stop bar if nothing holds them."""
-        speed = np.minimum(np.where(np.isnan(speed_mps), limit_mps, speed_mps), limit_mps)
-        speed = np.maximum(speed, 0.0)
+        speed = np.minimum(speed_mps, limit_mps)
         gain_s = (limit_mps - speed) / _ACCELERATION_MPS2
         gain_m = (speed + limit_mps) / 2 * gain_s
         reaches = distance_m >= gain_m

@@ -258,15 +258,56 @@ def test_a_green_ends_as_soon_as_its_last_vehicle_can_stop_no_more(
     assert (asked == EW) is ends
 
 
-def test_of_a_lane_that_is_not_seen_a_queue_is_expected_to_use_the_yellow() -> None:
-    waits = two_lanes(waiting=1, coming=0)
-    waits.arrivals[0, 0] = 1.0
-    known = replace(waits, is_known=np.ones(2, bool))
-    at_once = [search(one, Prices(), 1000, allowed_first=1).cost for one in (waits, known)]
-    assert at_once[0] < at_once[1]
-    passes = replace(known, passing=np.where(np.arange(40) == 0, [[1.0], [0.0]], 0.0))
-    assert search(passes, Prices(), 1000, allowed_first=1).cost < at_once[1]
+def test_a_vehicle_of_unknown_speed_is_taken_to_pass_as_one_that_is_as_fast_as_allowed() -> None:
+    for away_m, ends in ((20.0, True), (21.0, False)):
+        planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))
+        found = vehicles(("n_0", away_m, math.nan), *queue("e_0", 2))
+        asked = planner.request(60.0, found, green(NS, 60 * S), dict.fromkeys(LANES, 1.0))
+        assert (asked == EW) is ends
+
+
+@pytest.mark.parametrize(("reach_m", "coverage"), [(50.0, 0.26), (12.0, 1.0)])
+def test_where_little_is_seen_before_the_stop_bar_those_who_wait_are_not_put_off(
+    reach_m: float, coverage: float
+) -> None:
+    planner = PredictivePlanner(replace(SITE, upstream_m=reach_m), PlannerSettings(inflow_vph=500))
+    seen_shares = {**dict.fromkeys(LANES, 1.0), "n_0": coverage, "s_0": coverage}
+    waiting = vehicles(*queue("e_0", 2))
+    asked = [
+        planner.request(60.0 + n, waiting, green(NS, (60 + n) * S), seen_shares) for n in range(10)
+    ]
+    assert any(one != NS for one in asked)
+
+
+def end_now(problem: Problem) -> float:
+    return search(problem, Prices(), 1000, allowed_first=1).cost
+
+
+def test_whoever_cannot_stop_passes_and_everybody_else_stops() -> None:
+    unknown = two_lanes(waiting=1, coming=0)
+    unknown.arrivals[0, 0] = 1.0
+    stops = replace(unknown, is_known=np.ones(2, bool))
+    passes = replace(stops, passing=unknown.arrivals * [[1.0], [0.0]])
+    assert end_now(passes) < end_now(unknown) < end_now(stops) - 10
     assert search(passes, Prices(), 1000).phases[1] == (1, 0)
+
+
+def test_a_lane_of_which_a_turn_keeps_its_green_discharges_through_the_yellow() -> None:
+    unknown = two_lanes(waiting=1, coming=0)
+    unknown.arrivals[0, 0] = 1.0
+    unknown.protected[3, 0] = unknown.protected[1, 0] = 0.3
+    assert end_now(replace(unknown, is_known=np.ones(2, bool))) == end_now(unknown)
+
+
+def test_a_turner_behind_the_stop_bar_waits_for_the_opposing_traffic_in_yellow_too() -> None:
+    def cost(inside: float) -> float:
+        problem = two_lanes(waiting=1, coming=0)
+        problem.permitted[:] = problem.protected
+        problem.protected[:, 0] = 0.0
+        problem.permitted[:, 1] = 0.0
+        return end_now(replace(problem, is_known=np.ones(2, bool), inside=np.array([inside, 0.0])))
+
+    assert cost(1.0) == pytest.approx(cost(0.0) + 2.0)
 
 
 def test_a_green_is_never_asked_to_end_before_its_minimum() -> None:

@@ -49,6 +49,7 @@ def expected(*rows: tuple[str, float, float]) -> ExpectedVehicles:
         rows=list(range(len(rows))),
         lanes=lanes,
         distances_m=np.array([row[1] for row in rows], float),
+        speeds_mps=np.full(len(rows), LIMIT_MPS),
         arrival_s=np.array([row[2] for row in rows], float),
         shares=np.eye(len(LANES))[[LANES.index(lane) for lane in lanes]],
     )
