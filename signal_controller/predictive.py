@@ -29,7 +29,7 @@ from signal_controller.queue_filter import QueueFilter
 
 MAX_VEHICLES = 1000
 """Vehicles that one decision considers: the nearest."""
-_YELLOW_S = YELLOW_USED_STEPS * STEP_S  # who comes within these may be too close to stop
+_YELLOW_S = YELLOW_USED_STEPS * STEP_S  # a lane seen for less cannot tell which vehicles pass
 _SOON_STEPS = 10  # a change that is planned within these is tried immediately, see `_planned`
 
 
