@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 from protocol.errors import ConfigError
 from protocol.starting import ONE_THREAD, signals_deferred
 
+_EXIT_S = 10.0  # of a process that has sent its result
 _PRELOAD = ["studies.perceived_case", "studies.bench_control"]
 Task = TypeVar("Task")
 Done = TypeVar("Done")
@@ -55,18 +56,28 @@ def run_each(
         while running:
             for ready in wait([*running]):
                 assert isinstance(ready, Connection)
-                number, process = running[ready]
-                done = _received(ready)
-                process.join()
-                del running[ready]
-                ready.close()
-                start()
+                with signals_deferred():  # Ctrl-C within a finalizer is ignored
+                    done = _received(ready)
+                    number, process = running.pop(ready)
+                    ready.close()
+                    _end(process)
+                    start()
                 yield number, done
     finally:
         for connection, (_, process) in running.items():
             process.terminate()
             process.join()
+            process.close()
             connection.close()
+
+
+def _end(process: ForkServerProcess) -> None:
+    """Waits for a process that has sent its result, not for long, and closes it."""
+    process.join(_EXIT_S)
+    if process.is_alive():
+        process.kill()
+        process.join()
+    process.close()
 
 
 def _fork_server() -> ForkServerContext:

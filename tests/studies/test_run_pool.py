@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from multiprocessing import util
 
 import pytest
 
@@ -71,4 +72,18 @@ def test_who_stops_listening_leaves_no_process() -> None:
     runs = run_each(work, ["a", "endless", "endless"], 2)
     assert next(runs)[0] == 0
     runs.close()
+    assert multiprocessing.active_children() == []
+
+
+def test_ctrl_c_while_a_process_is_cleaned_up_is_not_lost(monkeypatch) -> None:
+    close = util.close_fds
+
+    def interrupted(*ends: int) -> None:
+        monkeypatch.undo()
+        signal.raise_signal(signal.SIGINT)
+        close(*ends)
+
+    monkeypatch.setattr(util, "close_fds", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(run_each(work, ["a", "b", "c"], 1))
     assert multiprocessing.active_children() == []
