@@ -192,17 +192,21 @@ class PredictivePlanner:
         may = memory.shares * memory.has_room
         status = model.pair_status
         since_s = memory.lane_green_since_s
+        protected = np.where(status == PROTECTED, may, 0.0) @ model.lane_of
+        permitted = np.where(status == PERMITTED, may, 0.0) @ model.lane_of
         begin = np.where(np.isinf(since_s), 0.0, since_s - time_s) + memory.lost_s
+        has_right = protected[phase] / np.maximum(protected[phase] + permitted[phase], 1e-9)
         return Problem(
             arrivals=arrivals,
             passing=np.zeros_like(arrivals) if passing is None else passing,
             is_known=self.queues.is_seen & (self.queues.coverage * model.reach_s >= _YELLOW_S),
-            protected=np.where(status == PROTECTED, may, 0.0) @ model.lane_of,
-            permitted=np.where(status == PERMITTED, may, 0.0) @ model.lane_of,
+            protected=protected,
+            permitted=permitted,
             head=memory.head_may_go(model.status),
             inside=memory.waiting_inside(time_s),
             headway_s=memory.headway_s,
             lost_s=memory.lost_s,
+            credit=has_right * memory.credit(time_s, -begin),
             begin=begin,
             foes=model.foes,
             foe_shares=model.foe_shares(memory.shares),

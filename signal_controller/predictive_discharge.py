@@ -39,6 +39,7 @@ class Problem:
         head: (P, L) probability that the first vehicle of a lane may go in a phase.
         inside: (L,) vehicles of a lane that wait for a gap behind its stop bar and block it.
         headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
+        credit: (L,) part of the next vehicle for which there was time since the last one passed.
         begin: (L,) step from which on a lane discharges, in what is shown now.
         foe_shares: (P, L, F) share of the vehicles of `foes` that conflict with a lane.
         foes, change_steps, min_green_steps: of `JunctionModel`.
@@ -57,6 +58,7 @@ class Problem:
     inside: Floats
     headway_s: Floats
     lost_s: Floats
+    credit: Floats
     begin: Floats
     foes: Ints
     foe_shares: Floats
@@ -88,7 +90,7 @@ def discharged(problem: Problem, phases: Sequence[tuple[int, float]]) -> Floats:
             shown, and a later one with a step before now is what it changes to, or did.
     """
     lanes, steps = problem.arrivals.shape
-    queue, inside, begin = np.zeros(lanes), problem.inside.copy(), problem.begin.copy()
+    queue, inside, begin = -problem.credit, problem.inside.copy(), problem.begin.copy()
     queues, at = np.zeros((lanes, steps)), 0
     arrivals = np.ascontiguousarray(problem.arrivals)
     protected = np.ascontiguousarray(problem.protected)
@@ -186,7 +188,8 @@ def run(
 
     That is the delay of all, in vehicle-seconds, and a price for each that has to stop. `fresh`
     (L,) is the probability that a lane's first vehicle may go, `begin` (L,) the step from which on
-    it discharges; other arrays are as of `Problem`. `queue` and `inside` are changed in place.
+    it discharges; other arrays are as of `Problem`. `queue` and `inside` are changed in place. A
+    queue below zero is `credit`, as an empty lane gains it: its next vehicle passes at once.
     """
     cost = 0.0
     steps = arrivals.shape[1]
@@ -217,8 +220,8 @@ def run(
             served = before + come - after
             if before > 0.5:
                 cost += stop_price * come
-            if open_share < 1.0 and served > 0.0:
-                fresh[lane] *= max(0.0, 1.0 - (1.0 - open_share) * served)
+            if open_share < 1.0 and served > 0.0 and fresh[lane] > 0.0:
+                fresh[lane] *= max(0.0, 1.0 - (1.0 - open_share) * served / fresh[lane])
             queue[lane] = after
             cost += max(after, 0.0)
     return cost

@@ -69,6 +69,7 @@ def search(
         problem.inside,
         problem.headway_s,
         problem.lost_s,
+        problem.credit,
         problem.begin,
         problem.foes,
         problem.foe_shares,
@@ -245,6 +246,7 @@ def _search(
     inside0: Floats,
     headway_s: Floats,
     lost_s: Floats,
+    credit: Floats,
     begin0: Floats,
     foes: Ints,
     foe_shares: Floats,
@@ -276,7 +278,7 @@ def _search(
     last_row = len(protected) - 1
 
     # What is shown must go on until it may end.
-    queue[work] = 0.0
+    queue[work] = -credit * head[first_phase]
     begin[work] = begin0
     last_open[work] = -1
     fresh[work] = head[first_phase]

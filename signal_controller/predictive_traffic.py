@@ -17,6 +17,7 @@ from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
     RED,
+    STEP_S,
     Floats,
     Ints,
     JunctionModel,
@@ -115,6 +116,15 @@ class TrafficMemory:
     def parked(self) -> set[str]:
         """Ids of stationary vehicles that did not go when they could: parked cars, ghosts."""
         return {name for name, track in self._tracks.items() if track.is_parked}
+
+    def credit(self, time_s: float, open_s: Floats) -> Floats:
+        """Returns the part of its next vehicle for which each lane (L,) had time since the last.
+
+        A lane that has discharged for `open_s` (L,), and not let one pass for a headway less a
+        step, needs a step for the next: it passes as it arrives.
+        """
+        idle_s = np.minimum(time_s - self._last_passage_s, open_s)
+        return np.clip(idle_s, 0.0, self.headway_s - STEP_S) / self.headway_s
 
     def waiting_inside(self, time_s: float) -> Floats:
         """Returns 1 for each lane (L,) whose last vehicle stands behind the stop bar, else 0."""

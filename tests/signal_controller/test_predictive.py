@@ -22,7 +22,7 @@ from signal_controller.observation import (
 )
 from signal_controller.policies import Predictive
 from signal_controller.predictive import PlannerSettings, PredictivePlanner
-from signal_controller.predictive_discharge import Problem
+from signal_controller.predictive_discharge import Problem, run
 from signal_controller.predictive_model import JunctionModel
 from signal_controller.predictive_search import Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
@@ -69,6 +69,7 @@ def two_lanes(waiting: float, coming: float, ahead: int = 40) -> Problem:
         inside=np.zeros(2),
         headway_s=np.full(2, 2.0),
         lost_s=np.full(2, 1.5),
+        credit=np.zeros(2),
         begin=np.array([-60.0, 1.5]),
         foes=np.full((2, 2, 1), -1),
         foe_shares=np.zeros((2, 2, 1)),
@@ -115,6 +116,7 @@ def longest_queues(main_lanes: int, main_per_s: float, side_per_s: float) -> tup
             inside=np.zeros(lanes),
             headway_s=np.full(lanes, 2.0),
             lost_s=np.full(lanes, 1.5),
+            credit=np.zeros(lanes),
             begin=np.where(is_open, since - second + 1.5, 1.5),
             foes=np.full((2, lanes, 1), -1),
             foe_shares=np.zeros((2, lanes, 1)),
@@ -161,6 +163,24 @@ def test_a_plan_costs_what_a_calculation_by_hand_says() -> None:
     prices = Prices()
     by_hand = sum(waits) + prices.stop + prices.switch
     assert search(waiting, prices, 1000).cost == pytest.approx(by_hand)
+
+
+def test_a_lane_that_is_ready_lets_its_next_vehicle_pass_as_it_arrives() -> None:
+    problem = two_lanes(waiting=0, coming=0)
+    problem.arrivals[0, 0] = 1.0
+    assert search(problem, Prices(), 1000).cost == 0.5
+    ready = replace(problem, credit=np.array([0.5, 0.0]))
+    assert search(ready, Prices(), 1000).cost == 0.0
+
+
+def test_behind_a_vehicle_that_may_not_go_nobody_passes() -> None:
+    problem = two_lanes(waiting=0, coming=0, ahead=60)
+    queue, nobody, first_may_go = np.array([9.0, 0.0]), np.zeros(2), np.array([0.4, 0.0])
+    problem.protected[0, 0] = 0.3  # of its vehicles may go, one after the other
+    run(queue, first_may_go, nobody, problem.begin, 0, 0, 0, 60, problem.arrivals,
+        problem.protected, problem.permitted, problem.headway_s, problem.foes,
+        problem.foe_shares, 0.0)  # fmt: skip
+    assert 9.0 - queue[0] == pytest.approx(0.4 / (1 - 0.3), abs=0.01)
 
 
 def yielding(opposing: float, foe_share: float, inside: float = 0.0) -> Problem:
@@ -414,6 +434,18 @@ def test_turns_headways_and_arrivals_are_learnt_from_tracks() -> None:
         )
     assert memory.arrivals_per_s[model.lane_index["n_0"]] > 4 * before
     assert memory.arrivals_per_s[model.lane_index["e_0"]] < before
+
+
+def test_a_lane_is_ready_a_headway_after_its_last_vehicle_unless_it_opened_later() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, own = TrafficMemory(model, 100, 1800), model.lane_index["n_0"]
+    memory.take(0, vehicles(("n_0", 3.0, 8.0)), NS)
+    memory.take(1, vehicles(("outs_0", 0.0, 8.0)), NS)
+    always, since_half_s = np.full(len(model.lanes), math.inf), np.full(len(model.lanes), 0.5)
+    found = [memory.credit(1 + after_s, always)[own] for after_s in (0.0, 0.5, 1.0, 9.0)]
+    assert found == pytest.approx([0.0, 0.25, 0.5, 0.5])
+    assert memory.credit(9, since_half_s)[own] == pytest.approx(0.25)
+    assert memory.credit(9, -since_half_s)[own] == 0.0
 
 
 def test_arrivals_are_learnt_where_nobody_is_seen_on_a_short_lane_before_the_stop_bar() -> None:
