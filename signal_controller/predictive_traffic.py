@@ -124,7 +124,7 @@ class TrafficMemory:
         step, needs a step for the next: it passes as it arrives.
         """
         idle_s = np.minimum(time_s - self._last_passage_s, open_s)
-        return np.clip(idle_s, 0.0, self.headway_s - STEP_S) / self.headway_s
+        return np.asarray(np.clip(idle_s, 0.0, self.headway_s - STEP_S) / self.headway_s)
 
     def waiting_inside(self, time_s: float) -> Floats:
         """Returns 1 for each lane (L,) whose last vehicle stands behind the stop bar, else 0."""
