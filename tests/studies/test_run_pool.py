@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Iterator
 from multiprocessing import util
 
 import pytest
@@ -75,6 +76,15 @@ def test_who_stops_listening_leaves_no_process() -> None:
     assert multiprocessing.active_children() == []
 
 
+@pytest.fixture
+def ctrl_c_raises() -> Iterator[None]:
+    """Whatever an earlier test in this process left."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("ctrl_c_raises")
 def test_ctrl_c_while_a_process_is_cleaned_up_is_not_lost(monkeypatch) -> None:
     close = util.close_fds
 
