@@ -195,7 +195,9 @@ class PredictivePlanner:
         protected = np.where(status == PROTECTED, may, 0.0) @ model.lane_of
         permitted = np.where(status == PERMITTED, may, 0.0) @ model.lane_of
         begin = np.where(np.isinf(since_s), 0.0, since_s - time_s) + memory.lost_s
+        inside = memory.waiting_inside(time_s)
         has_right = protected[phase] / np.maximum(protected[phase] + permitted[phase], 1e-9)
+        is_ready = self.queues.is_seen * has_right * (1.0 - inside)
         return Problem(
             arrivals=arrivals,
             passing=np.zeros_like(arrivals) if passing is None else passing,
@@ -203,10 +205,10 @@ class PredictivePlanner:
             protected=protected,
             permitted=permitted,
             head=memory.head_may_go(model.status),
-            inside=memory.waiting_inside(time_s),
+            inside=inside,
             headway_s=memory.headway_s,
             lost_s=memory.lost_s,
-            credit=has_right * memory.credit(time_s, -begin),
+            credit=is_ready * memory.credit(time_s, -begin),
             begin=begin,
             foes=model.foes,
             foe_shares=model.foe_shares(memory.shares),

@@ -39,7 +39,8 @@ class Problem:
         head: (P, L) probability that the first vehicle of a lane may go in a phase.
         inside: (L,) vehicles of a lane that wait for a gap behind its stop bar and block it.
         headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
-        credit: (L,) part of the next vehicle for which there was time since the last one passed.
+        credit: (L,) part of a vehicle that a lane which discharges could have served since its last
+            one passed: the next one needs the rest alone.
         begin: (L,) step from which on a lane discharges, in what is shown now.
         foe_shares: (P, L, F) share of the vehicles of `foes` that conflict with a lane.
         foes, change_steps, min_green_steps: of `JunctionModel`.
@@ -189,7 +190,7 @@ def run(
     That is the delay of all, in vehicle-seconds, and a price for each that has to stop. `fresh`
     (L,) is the probability that a lane's first vehicle may go, `begin` (L,) the step from which on
     it discharges; other arrays are as of `Problem`. `queue` and `inside` are changed in place. A
-    queue below zero is `credit`, as an empty lane gains it: its next vehicle passes at once.
+    queue below zero is `credit`, which an empty lane gains.
     """
     cost = 0.0
     steps = arrivals.shape[1]
@@ -217,7 +218,7 @@ def run(
             rate = part * open_share / need_s
             may = rate * fresh[lane]
             after = max(before + come - may, fresh[lane] * (min(1.0, rate) - 1.0))
-            served = before + come - after
+            served = max(before, 0.0) + come - max(after, 0.0)
             if before > 0.5:
                 cost += stop_price * come
             if open_share < 1.0 and served > 0.0 and fresh[lane] > 0.0:

@@ -118,13 +118,14 @@ class TrafficMemory:
         return {name for name, track in self._tracks.items() if track.is_parked}
 
     def credit(self, time_s: float, open_s: Floats) -> Floats:
-        """Returns the part of its next vehicle for which each lane (L,) had time since the last.
+        """Returns the part of a vehicle that each lane (L,) could have served since its last one.
 
-        A lane that has discharged for `open_s` (L,), and not let one pass for a headway less a
-        step, needs a step for the next: it passes as it arrives.
+        That is the time since then, or `open_s` (L,) for which it has discharged if that is less,
+        over its headway; and at most what leaves a step for the next vehicle.
         """
         idle_s = np.minimum(time_s - self._last_passage_s, open_s)
-        return np.asarray(np.clip(idle_s, 0.0, self.headway_s - STEP_S) / self.headway_s)
+        most_s = np.maximum(self.headway_s - STEP_S, 0.0)
+        return np.asarray(np.clip(idle_s, 0.0, most_s) / self.headway_s)
 
     def waiting_inside(self, time_s: float) -> Floats:
         """Returns 1 for each lane (L,) whose last vehicle stands behind the stop bar, else 0."""

@@ -56,13 +56,13 @@ def run_each(
         while running:
             for ready in wait([*running]):
                 assert isinstance(ready, Connection)
-                with signals_deferred():  # Ctrl-C within a finalizer is ignored
-                    done = _received(ready)
-                    number, process = running.pop(ready)
+                number, process = running[ready]
+                yield number, _received(ready)
+                with signals_deferred():  # Python ignores Ctrl-C within a finalizer
+                    del running[ready]
                     ready.close()
                     _end(process)
                     start()
-                yield number, done
     finally:
         for connection, (_, process) in running.items():
             process.terminate()

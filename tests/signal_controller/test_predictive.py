@@ -173,14 +173,41 @@ def test_a_lane_that_is_ready_lets_its_next_vehicle_pass_as_it_arrives() -> None
     assert search(ready, Prices(), 1000).cost == 0.0
 
 
-def test_behind_a_vehicle_that_may_not_go_nobody_passes() -> None:
-    problem = two_lanes(waiting=0, coming=0, ahead=60)
-    queue, nobody, first_may_go = np.array([9.0, 0.0]), np.zeros(2), np.array([0.4, 0.0])
+@pytest.mark.parametrize("credit", [0.0, 0.5])
+def test_behind_a_vehicle_that_may_not_go_nobody_passes(credit: float) -> None:
+    problem = two_lanes(waiting=9, coming=0, ahead=60)
+    problem.arrivals[:] = problem.arrivals[::-1].copy()
+    nobody, first_may_go = np.zeros(2), np.array([0.4, 0.0])
+    queue = np.array([-0.4 * credit, 0.0])
     problem.protected[0, 0] = 0.3  # of its vehicles may go, one after the other
     run(queue, first_may_go, nobody, problem.begin, 0, 0, 0, 60, problem.arrivals,
         problem.protected, problem.permitted, problem.headway_s, problem.foes,
         problem.foe_shares, 0.0)  # fmt: skip
     assert 9.0 - queue[0] == pytest.approx(0.4 / (1 - 0.3), abs=0.01)
+
+
+def test_an_empty_lane_keeps_its_vehicle_that_may_go_while_nobody_passes() -> None:
+    problem = two_lanes(waiting=0, coming=0, ahead=60)
+    queue, first_may_go = np.zeros(2), np.array([0.4, 0.0])
+    problem.protected[0, 0] = 0.3
+    run(queue, first_may_go, np.zeros(2), problem.begin, 0, 0, 0, 60, problem.arrivals,
+        problem.protected, problem.permitted, problem.headway_s, problem.foes,
+        problem.foe_shares, 0.0)  # fmt: skip
+    assert first_may_go[0] == 0.4
+
+
+def test_only_a_lane_that_is_seen_is_ready() -> None:
+    nobody, found = vehicles(), []
+    for seen_share in (1.0, 0.0):
+        planner = PredictivePlanner(SITE, PlannerSettings())
+        coverage = dict.fromkeys(LANES, 1.0) | {"n_0": seen_share}
+        for second in range(10):
+            planner.request(60.0 + second, nobody, green(NS, (60 + second) * S), coverage)
+        phase = planner.model.phase_of(NS)
+        problem = planner.problem(70.0, np.zeros((len(LANES), 60)), phase)
+        found.append(problem.credit[planner.model.lane_index["n_0"]])
+    assert found[0] > 0.3
+    assert found[1] == 0.0
 
 
 def yielding(opposing: float, foe_share: float, inside: float = 0.0) -> Problem:

@@ -43,8 +43,8 @@ CARS = {
 }
 
 
-VIEWS = [(1, 1), (1, -1), (-1, 1), (-1, -1)]
-"""Signs of x and y: the frame and its mirror images.
+VIEWS = [(1, 1), (-1, -1)]
+"""Signs of x and y: the frame, and turned by half a turn.
 
 Scores near the threshold move by several hundredths with the view, and with the arithmetic that a
 CPU has (`perception.pillars.detector.computes_in_half`): one view alone says little.
@@ -75,12 +75,12 @@ def frames_of(name: str, folder: Path) -> list[KittiFrame]:
 # Before they were asked whether one looks deep into them: 7, 0, 5 and 2. Before they were asked
 # whether their points scatter: 6, 0, 2 and 1.
 MOST_WRONG = {
-    "car_three_lidars": {"fast": 6, "pointpillars": 8},
-    "carla_five_lidars": {"fast": 1, "pointpillars": 4},
+    "car_three_lidars": {"fast": 6, "pointpillars": 4},
+    "carla_five_lidars": {"fast": 1, "pointpillars": 2},
 }
-"""In the first view by `fast`, in all together by the network: 4 and 0 in single precision."""
-LEAST_FOUND = 16
-"""Of 20 by the network, 17 in single precision: in some views it misses one that hovers."""
+"""In the first view by `fast`, in both by the network: 3 and 0 in single precision."""
+MOST_MISSED = {"fast": 0, "pointpillars": 1}
+"""In each view: in one of them the network misses a car that hovers, in single precision."""
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -93,6 +93,5 @@ def test_cars_are_found_and_few_boxes_are_on_trees_and_walls(name: str, tmp_path
         wrong, cars = sum(one.boxes - one.right for one in hits), len(views) * len(CARS[name])
         assert sum(one.vehicles for one in hits) == cars
         assert all(points >= 90 for one in found for points in one.points)
-        least = cars if detector == "fast" else min(cars, LEAST_FOUND)
-        assert sum(one.found for one in hits) >= least
+        assert all(one.vehicles - one.found <= MOST_MISSED[detector] for one in hits)
         assert wrong <= MOST_WRONG[name][detector], wrong

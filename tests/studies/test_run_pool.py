@@ -86,14 +86,16 @@ def ctrl_c_raises() -> Iterator[None]:
 
 @pytest.mark.usefixtures("ctrl_c_raises")
 def test_ctrl_c_while_a_process_is_cleaned_up_is_not_lost(monkeypatch) -> None:
-    close = util.close_fds
+    close, closed = util.close_fds, []
 
     def interrupted(*ends: int) -> None:
         monkeypatch.undo()
         signal.raise_signal(signal.SIGINT)
         close(*ends)
+        closed.extend(ends)
 
     monkeypatch.setattr(util, "close_fds", interrupted)
     with pytest.raises(KeyboardInterrupt):
         list(run_each(work, ["a", "b", "c"], 1))
+    assert closed
     assert multiprocessing.active_children() == []
