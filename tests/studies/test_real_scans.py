@@ -43,8 +43,8 @@ CARS = {
 }
 
 
-VIEWS = [(1, 1), (-1, -1)]
-"""Signs of x and y: the frame, and turned by half a turn.
+VIEWS = (1, -1)
+"""Sign of x and y: the frame, and turned by half a turn.
 
 Scores near the threshold move by several hundredths with the view, and with the arithmetic that a
 CPU has (`perception.pillars.detector.computes_in_half`): one view alone says little.
@@ -60,9 +60,10 @@ def frames_of(name: str, folder: Path) -> list[KittiFrame]:
     points = agent.cloud(0).points
     (folder / "velodyne").mkdir()
     (folder / "label_2").mkdir()
-    for number, (x, y) in enumerate(VIEWS):
-        np.save(folder / "velodyne" / f"{number}.npy", points * np.array([x, y, 1], np.float32))
-        cars = [[x * car[0], y * car[1], *car[2:6], x * y * car[6]] for car in CARS[name]]
+    for number, sign in enumerate(VIEWS):
+        turned = points * np.array([sign, sign, 1], np.float32)
+        np.save(folder / "velodyne" / f"{number}.npy", turned)
+        cars = [[sign * car[0], sign * car[1], *car[2:]] for car in CARS[name]]
         lines = [line_of(car, ObjectClass.CAR) for car in cars]
         (folder / "label_2" / f"{number}.txt").write_text("\n".join(lines) + "\n")
     return kitti_frames(folder)
