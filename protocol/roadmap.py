@@ -91,18 +91,24 @@ class PlanPhase(_Part):
 
 
 class Signal(_Part):
-    """A signal: its links, which of them conflict, and the plan that its net brings."""
+    """A signal: its links, which of them conflict, and the plan that its net brings.
+
+    `further_greens` are green states that policies may request beside those of the plan, see
+    `signal_controller.phases`.
+    """
 
     tls: str
     links: Annotated[list[Link], FailFast()]
     conflicts: Annotated[list[tuple[int, int]], FailFast()]
     plan: Annotated[list[PlanPhase], FailFast()]
     offset_s: float = 0.0
+    further_greens: Annotated[list[str], FailFast()] = []
 
     @property
     def greens(self) -> list[str]:
-        """The distinct green states of the plan, in its order: the phases of the policies."""
-        return list(dict.fromkeys(phase.state for phase in self.plan if phase.is_green))
+        """The phases of the policies: the plan's distinct green states in its order, and others."""
+        planned = dict.fromkeys(phase.state for phase in self.plan if phase.is_green)
+        return [*planned, *self.further_greens]
 
     def planned_green(self, time_s: float) -> str:
         """Returns the plan's green at a time; within yellow or all-red, the green that follows."""
@@ -176,6 +182,11 @@ class RoadMap(_Part):
                 if successor in result:
                     result[successor].append(lane.id)
         return result
+
+    def edge_of(self, lane: str) -> str:
+        """Returns the edge of a lane; a lane that the map lacks is an edge of its own."""
+        known = self.by_id.get(lane)
+        return known.edge if known is not None else lane
 
     def raised(self, by_m: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]) -> RoadMap:
         """Returns the map with other heights.

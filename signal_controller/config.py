@@ -24,6 +24,12 @@ class SignalConfig(Section):
         "max_pressure: the phase with most vehicles before it and fewest behind it, "
         "as in Chen et al. 2022; fixed: the net's own plan; or the name of a plug-in",
     )
+    phases: Literal["auto", "plan", "compatible"] = Field(
+        "auto",
+        description="greens to choose among. plan: those of the net's plan; compatible: every "
+        "other set of movements without a conflict as well; auto: compatible for predictive, "
+        "else plan",
+    )
     horizon_s: float = Field(
         60, ge=20, le=120, description="predictive: how far ahead it plans; whole seconds count"
     )
@@ -89,6 +95,12 @@ class SignalConfig(Section):
         description="counts farther than this, in simulated time, from the signal's newest state "
         "are not acted on",
     )
+
+    @property
+    def combines_movements(self) -> bool:
+        """Whether there are phases beside those of the plan, see `phases`."""
+        is_predictive = self.policy == "predictive"
+        return self.phases == "compatible" or (self.phases == "auto" and is_predictive)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -174,18 +174,12 @@ class JunctionModel:
 def _movements(site: SignalSite, lane_index: dict[str, int]) -> list[Movement]:
     found: dict[tuple[int, str], list[tuple[str, int]]] = {}
     for link in site.signal.links:
-        key = lane_index[link.from_lane], edge_of(site.road_map, link.to_lane)
+        key = lane_index[link.from_lane], site.road_map.edge_of(link.to_lane)
         found.setdefault(key, []).append((link.to_lane, link.index))
     return [
         Movement(lane, edge, tuple(lane for lane, _ in links), tuple(link for _, link in links))
         for (lane, edge), links in found.items()
     ]
-
-
-def edge_of(road_map: RoadMap, lane: str) -> str:
-    """Returns the edge of a lane; a lane that the map lacks is an edge of its own."""
-    known = road_map.by_id.get(lane)
-    return known.edge if known is not None else lane
 
 
 def _speed_mps(road_map: RoadMap, lane: str) -> float:

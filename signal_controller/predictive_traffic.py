@@ -21,7 +21,6 @@ from signal_controller.predictive_model import (
     Floats,
     Ints,
     JunctionModel,
-    edge_of,
 )
 from signal_controller.tracked_vehicle import STOPPED_MPS, TrackedVehicle
 
@@ -323,7 +322,7 @@ class TrafficMemory:
             track.parked_at = place if is_parked else None
 
     def _note_exit(self, track: TrackedVehicle, lane: str) -> None:
-        edge = edge_of(self._model.site.road_map, lane)
+        edge = self._model.site.road_map.edge_of(lane)
         for index in self._of_lane[track.passed]:
             if self._model.movements[index].exit_edge == edge:
                 own = self._of_lane[track.passed]

@@ -17,7 +17,7 @@ from typing import Any
 
 from protocol.errors import ConfigError
 from studies.compare_question import BOTH, CAVS, MIN_TUNING_S, POSTS, TUNING_SEEDS, Comparison
-from studies.control_baselines import TUNINGS, Tuning
+from studies.control_baselines import TUNINGS, Tuning, worth_trying
 from studies.control_file import ControlStudy
 from studies.control_study import CaseStore, Report, SeedRows, run_control_study
 from studies.perceived_case import PerceivedCase, run_perceived
@@ -124,6 +124,7 @@ def perceived_cases(
     if fence is not None:
         settings |= {"edge.upstream_m": fence.upstream_m, "edge.downstream_m": fence.downstream_m}
         settings["signal.hold_s"] = fence.own["hold_s"]
+        settings |= {f"signal.{key}": value for key, value in fence.settings.items()}
     for seed in asked.seeds:
         title = f"{comparison.name} {policy} {sight} seed={seed}"
         scenario = resolve({**asked.common_settings, **settings, "seed": seed})
@@ -135,7 +136,8 @@ def weights(comparison: Comparison) -> dict[str, tuple[int, float]]:
     """Returns by stage how many runs it has, and about how much work each is."""
     asked = comparison.question
     seeds, whole_s = len(asked.seeds), asked.warmup_s + asked.duration_s
-    tried = sum(map(len, _TUNED.values())) * len(TUNING_SEEDS) if asked.tuning_s else 0
+    tunings = [worth_trying(tried, comparison.road_map) for tried in _TUNED.values()]
+    tried = sum(map(len, tunings)) * len(TUNING_SEEDS) if asked.tuning_s else 0
     frames = asked.duration_s / asked.frame_period_s
     numbers = (
         (1, whole_s),

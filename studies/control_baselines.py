@@ -5,13 +5,14 @@ Each is a `SignalPolicy`, made as a plug-in is; SUMO's own programs are set by t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from protocol.approaches import Approaches
-from protocol.roadmap import PlanPhase, Signal
+from protocol.roadmap import PlanPhase, RoadMap, Signal
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
+from signal_controller.phases import with_compatible_phases
 from signal_controller.policies import (
     Decision,
     FixedPlan,
@@ -163,6 +164,7 @@ class Tuning:
         upstream_m, downstream_m: the fence; None as the case has it.
         own: of the baseline itself, see `OWN_SETTINGS`.
         cabinet: of the scenario's section `cabinet`.
+        settings: of its section `signal`.
     """
 
     text: str
@@ -170,6 +172,7 @@ class Tuning:
     downstream_m: float | None = None
     own: Mapping[str, float] = field(default_factory=dict)
     cabinet: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
 
 PRESSURES = {
@@ -213,7 +216,17 @@ def _losses(loss_s: float, range_m: float, max_green_s: float) -> Tuning:
     )
 
 
-_FENCES = (
+def _with_phases(*tunings: Tuning) -> tuple[Tuning, ...]:
+    """Returns the tunings, and each again with all compatible phases."""
+    more = [
+        replace(one, text=f"{one.text}, compatible phases", settings=COMPATIBLE) for one in tunings
+    ]
+    return *tunings, *more
+
+
+COMPATIBLE: Mapping[str, Any] = {"phases": "compatible"}
+"""Settings with which phases are chosen among all that signal groups allow."""
+_FENCES = _with_phases(
     _fence(200, 100),
     _fence(100, 0),
     _fence(50, 0),
@@ -222,11 +235,13 @@ _FENCES = (
     _fence(100, 50, 10),
 )
 TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
-    "webster": tuple(
-        Tuning(f"cycle x {factor:g}", own={"cycle_factor": factor})
-        for factor in (1.0, 0.7, 0.85, 1.2, 1.5)
+    "webster": _with_phases(
+        *(
+            Tuning(f"cycle x {factor:g}", own={"cycle_factor": factor})
+            for factor in (1.0, 0.7, 0.85, 1.2, 1.5)
+        )
     ),
-    "actuated": (
+    "actuated": _with_phases(
         _gaps(3, 2, 50),
         _gaps(3, 2, 25),
         _gaps(2, 2, 50),
@@ -234,7 +249,7 @@ TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
         _gaps(2, 1, 35),
         _gaps(1.5, 1, 25),
     ),
-    "delay_based": (
+    "delay_based": _with_phases(
         _losses(1, 100, 50),
         _losses(1, 100, 25),
         _losses(1, 50, 50),
@@ -245,3 +260,10 @@ TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
     **dict.fromkeys(PRESSURES, _FENCES),
 }
 """Parameters that are tried for each baseline; the first is the default. Others are not tuned."""
+
+
+def worth_trying(tunings: Sequence[Tuning], road_map: RoadMap) -> list[Tuning]:
+    """Returns the tunings, without compatible phases where no signal of a map has any."""
+    signals = [with_compatible_phases(one.signal, road_map) for one in road_map.intersections]
+    has_phases = any(signal.further_greens for signal in signals)
+    return [one for one in tunings if has_phases or one.settings != COMPATIBLE]

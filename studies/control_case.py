@@ -10,14 +10,15 @@ from typing import Any
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
-from protocol.roadmap import RoadMap
+from protocol.roadmap import RoadMap, Signal
+from signal_controller.phases import with_compatible_phases
 from sim_host.cabinet import programme
 from sim_host.city_demand import SATURATION
 from sim_host.config import CabinetConfig
 from sim_host.junctions import DEMAND_VPH_PER_LANE
 from sim_host.networks import NETWORKS
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
-from studies.control_baselines import Tuning
+from studies.control_baselines import COMPATIBLE, Tuning
 from studies.control_file import NETS
 
 OWN_PLAN = "plan"
@@ -73,6 +74,7 @@ class ControlCase:
             downstream_m=self.downstream_m if downstream_m is None else downstream_m,
             own={**self.own, **tuning.own},
             cabinet={**self.cabinet, **tuning.cabinet},
+            settings={**self.settings, **tuning.settings},
         )
 
 
@@ -96,6 +98,14 @@ def roads_of(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
     if case.net == "moving_peak":
         _move_peak(config.parent / "demand.rou.xml", case.duration_s)
     return config, setup.road_map
+
+
+def signals_of(case: ControlCase, road_map: RoadMap) -> list[Signal]:
+    """Returns the signals of a case with their phases, also for what is no policy of cpnet."""
+    signals = [one.signal for one in road_map.intersections]
+    if case.settings.get("phases") != COMPATIBLE["phases"]:
+        return signals
+    return [with_compatible_phases(one, road_map) for one in signals]
 
 
 def _own_traffic(case: ControlCase) -> dict[str, Any]:
@@ -145,13 +155,13 @@ def write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: P
     """
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
     root = ElementTree.Element("additional")
-    for one in road_map.intersections:
+    for one in signals_of(case, road_map):
         try:
-            intervals = programme(one.signal, cabinet)
+            intervals = programme(one, cabinet)
         except ConfigError:
             continue  # with one green only there is nothing to decide
         logic = ElementTree.SubElement(
-            root, "tlLogic", id=one.signal.tls, type=case.policy, programID=PROGRAM, offset="0"
+            root, "tlLogic", id=one.tls, type=case.policy, programID=PROGRAM, offset="0"
         )
         for name, value in case.own.items():
             ElementTree.SubElement(logic, "param", key=name, value=f"{value:g}")

@@ -32,7 +32,15 @@ from studies.control_baselines import (
     WeightedPressure,
     webster,
 )
-from studies.control_case import OWN_PLAN, PROGRAM, WEBSTER, ControlCase, roads_of, write_programs
+from studies.control_case import (
+    OWN_PLAN,
+    PROGRAM,
+    WEBSTER,
+    ControlCase,
+    roads_of,
+    signals_of,
+    write_programs,
+)
 
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
@@ -361,7 +369,7 @@ def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
     times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
     sites = [
-        SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
+        SignalSite(one, road_map, case.upstream_m, times) for one in signals_of(case, road_map)
     ]
     return [_Controller(_policy(case, site), site, case) for site in sites]
 

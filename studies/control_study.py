@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
@@ -20,10 +21,11 @@ from typing import Any, Protocol, TypeVar
 from scipy.special import stdtrit
 
 from protocol.errors import ConfigError
+from protocol.roadmap import RoadMap
 from sim_host.setup import sumo_files
 from studies.bench_control import lane_flows_vph, run_case_in_detail
-from studies.control_baselines import TUNINGS, Tuning
-from studies.control_case import OWN_PLAN, WEBSTER, ControlCase
+from studies.control_baselines import TUNINGS, Tuning, worth_trying
+from studies.control_case import OWN_PLAN, WEBSTER, ControlCase, roads_of
 from studies.control_file import NETS, ControlStudy
 from studies.run_pool import run_each
 from studies.sweep.cells import code_digest, write_atomically
@@ -275,11 +277,12 @@ def _tuned(
     if not study.tuning_seeds:
         report(0, 0, "")
         return {}
+    roads = {group: _roads(study, group) for group in groups}
     tried = [
         (group, policy, tuning)
         for group in groups
         for policy in study.policies
-        for tuning in tunings.get(policy, ())
+        for tuning in worth_trying(tunings.get(policy, ()), roads[group])
     ]
     short = study.model_copy(update={"duration_s": study.tuning_duration_s})
     cases = [
@@ -294,6 +297,11 @@ def _tuned(
         if delay_s < best.get((group, policy), (math.inf, tuning))[0]:
             best[group, policy] = delay_s, tuning
     return {cell: tuning for cell, (_, tuning) in best.items()}
+
+
+def _roads(study: ControlStudy, group: Group) -> RoadMap:
+    with tempfile.TemporaryDirectory(prefix="cpnet-control-") as folder:
+        return roads_of(_case(study, group, OWN_PLAN, {}, None, 1), Path(folder))[1]
 
 
 def _case(

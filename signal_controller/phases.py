@@ -1,0 +1,88 @@
+"""Phases beside those of a plan: signal groups that do not conflict, shown green together.
+
+A plan shows its movements in few combinations. Signal groups (in North America: the phases of a
+dual ring and overlaps, Signal Timing Manual, 2nd edition, chapter 5) may be combined in any way in
+which no two conflict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+from protocol.roadmap import RoadMap, Signal
+
+MAX_PHASES = 16
+"""With those of the plan: the time that a decision takes grows with them."""
+Group = frozenset[int]
+"""Links that turn green together, by their index."""
+
+
+def with_compatible_phases(signal: Signal, road_map: RoadMap) -> Signal:
+    """Returns the signal with the greens that its signal groups allow beside those of its plan.
+
+    A signal group is made of the links of a movement, from edge to edge, and of all movements that
+    share a lane with it: no lane gets green for a part of its turns. Each maximal set of groups of
+    which no two conflict is a phase, unless the plan has one with right of way for all its links.
+
+    Of more than `MAX_PHASES` those that open most links are kept. Nothing is added where the plan shows green to others than vehicles: the conflicts of people who
+    walk are not known. A group that the plan never opens as a whole, or in which links conflict, is
+    in no added phase.
+
+    Args:
+        signal: with the phases of its plan.
+        road_map: has the edges of its lanes.
+    """
+    signal = signal.model_copy(update={"further_greens": []})
+    conflicts = set(signal.conflicts)
+
+    def is_compatible(one: Group, other: Group) -> bool:
+        return not any((min(a, b), max(a, b)) in conflicts for a in one for b in other)
+
+    shown, protected = (
+        [{link for link, c in enumerate(green) if c in right} for green in signal.greens]
+        for right in ("Gg", "G")
+    )
+    if any(opened - {link.index for link in signal.links} for opened in shown):
+        return signal
+    groups = [
+        group
+        for group in _groups(signal, road_map)
+        if is_compatible(group, group) and any(group <= opened for opened in shown)
+    ]
+    found = []
+    for chosen in _maximal(groups, is_compatible):
+        opened = frozenset().union(*chosen)
+        if opened and not any(opened <= others for others in protected):
+            size = len(signal.plan[0].state)
+            found.append("".join("G" if link in opened else "r" for link in range(size)))
+    found.sort(key=lambda green: -green.count("G"))
+    room = max(0, MAX_PHASES - len(signal.greens))
+    return signal.model_copy(update={"further_greens": found[:room]})
+
+
+def _groups(signal: Signal, road_map: RoadMap) -> list[Group]:
+    """Returns the signal groups, in the order of their first links."""
+    groups: list[tuple[set[object], set[int]]] = []  # what makes links one group, and the links
+    for link in signal.links:
+        edges = road_map.edge_of(link.from_lane), road_map.edge_of(link.to_lane)
+        keys: set[object] = {link.from_lane, edges}
+        same = [group for group in groups if group[0] & keys]
+        groups = [group for group in groups if group not in same]
+        links = {link.index}.union(*(others for _, others in same))
+        groups.append((keys.union(*(others for others, _ in same)), links))
+    return sorted((Group(links) for _, links in groups), key=min)
+
+
+def _maximal(
+    groups: Sequence[Group],
+    is_compatible: Callable[[Group, Group], bool],
+    chosen: tuple[Group, ...] = (),
+    tried: Sequence[Group] = (),
+) -> Iterator[tuple[Group, ...]]:
+    """Yields the maximal sets of groups of which all are compatible (Bron and Kerbosch 1973)."""
+    if not groups and not tried:
+        yield chosen
+    for index, group in enumerate(groups):
+        left = [other for other in groups[index + 1 :] if is_compatible(group, other)]
+        before = [other for other in (*tried, *groups[:index]) if is_compatible(group, other)]
+        yield from _maximal(left, is_compatible, (*chosen, group), before)

@@ -1,0 +1,131 @@
+"""Phases beside those of a plan: signal groups that do not conflict."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from protocol.roadmap import RoadMap, Signal
+from signal_controller.config import SignalConfig
+from signal_controller.phases import MAX_PHASES, with_compatible_phases
+from signal_controller.policies import policy_of
+from tests.roads import lane, no_road, one_junction, signal
+from tests.signal_controller.crossing import PHASES, SITE, seen, vehicles
+
+NS, NS_LEFT, EW, EW_LEFT, *ONE_SIDE = PHASES
+
+
+def of_crossing(*greens: str) -> Signal:
+    """The crossing with a plan of these greens alone."""
+    plan = [(10, green) for green in greens]
+    return SITE.signal.model_copy(update={"plan": signal("j", plan=plan).plan})
+
+
+def further(one: Signal, roads: RoadMap = SITE.road_map) -> list[str]:
+    return with_compatible_phases(one, roads).further_greens
+
+
+def test_a_plan_of_four_phases_gets_those_of_a_dual_ring() -> None:
+    found = further(of_crossing(NS, NS_LEFT, EW, EW_LEFT))
+    assert sorted(found) == sorted(ONE_SIDE)
+
+
+def test_what_the_plan_shows_is_not_added_again() -> None:
+    assert further(SITE.signal) == []
+    assert with_compatible_phases(SITE.signal, SITE.road_map).greens == PHASES
+
+
+def test_lanes_with_several_turns_get_no_green_for_some_of_them() -> None:
+    # Of lane a_1 some go to x, some to y; a_0 and a_1 both lead to x, so all of a is one group.
+    links = [("a_0", "x_0"), ("a_1", "x_1"), ("a_1", "y_0"), ("b_0", "y_0"), ("c_0", "z_0")]
+    plan = [(10, "GGgGr"), (10, "rrrrG")]
+    one = signal("j", *links, conflicts=[(2, 3)], plan=plan)
+    names = {name for link in links for name in link}
+    roads = one_junction("shared", [lane(name, [(0, 0, 0), (9, 0, 0)]) for name in names], one)
+    assert further(one, roads) == ["GGGrG", "rrrGG"]
+
+
+def test_where_people_walk_by_the_plan_nothing_is_added(road_map: RoadMap) -> None:
+    [one] = road_map.intersections
+    plan = signal("J", plan=[(9, state + "G") for state in one.signal.greens]).plan
+    walking = one.signal.model_copy(update={"plan": plan})
+    assert with_compatible_phases(walking, road_map) == walking
+
+
+def test_a_group_that_the_plan_never_opens_stays_closed() -> None:
+    one = signal("j", ("a_0", "x_0"), ("b_0", "y_0"), ("c_0", "z_0"), plan=[(9, "Grr"), (9, "rGr")])
+    assert further(one, no_road()) == ["GGr"]
+
+
+def test_of_very_many_phases_those_that_open_most_links_are_kept() -> None:
+    # Links of odd numbers conflict with the next lower one: each set has one of every two.
+    links = [(f"in{n}_0", f"out{n}_0") for n in range(10)]
+    plan = [(9, "".join("G" if n == one else "r" for n in range(10))) for one in range(10)]
+    pairs = [(n, n + 1) for n in range(0, 8, 2)]
+    one = signal("j", *links, conflicts=[*pairs, (8, 9), (7, 8), (7, 9)], plan=plan)
+    found = with_compatible_phases(one, no_road())
+    assert len(found.greens) == MAX_PHASES
+    assert {green.count("G") for green in found.further_greens} == {5}
+
+
+@st.composite
+def junctions(draw: st.DrawFn) -> tuple[Signal, RoadMap]:
+    """Up to 8 links between few lanes, any conflicts between lanes, one green for each lane."""
+    names = st.integers(0, 4)
+    pairs = draw(st.lists(st.tuples(names, names), min_size=1, max_size=8, unique=True))
+    links = [(f"in{a // 2}_{a % 2}", f"out{b // 2}_{b % 2}") for a, b in pairs]
+    apart = [
+        (a, b)
+        for a, b in itertools.combinations(range(len(links)), 2)
+        if not {*links[a]} & {*links[b]}
+    ]
+    conflicts = draw(st.lists(st.sampled_from(apart), unique=True)) if apart else []
+    lanes = sorted({a for a, _ in links})
+    plan = [(9, "".join("G" if a == one else "r" for a, _ in links)) for one in lanes]
+    one = signal("j", *links, conflicts=conflicts, plan=plan)
+    return one, one_junction("any", [lane(a, [(0, 0, 0), (9, 0, 0)]) for a in lanes], one)
+
+
+@given(junctions())
+@settings(max_examples=200, deadline=None)
+def test_added_phases_have_no_conflict_and_nothing_could_be_opened_besides(
+    drawn: tuple[Signal, RoadMap],
+) -> None:
+    one, roads = drawn
+    added = further(one, roads)
+    assert len(set(one.greens + added)) == len(one.greens) + len(added)
+    for green in added:
+        opened = {link for link, letter in enumerate(green) if letter == "G"}
+        assert not any(a in opened and b in opened for a, b in one.conflicts)
+        lanes = {one.links[link].from_lane for link in opened}
+        assert opened == {link.index for link in one.links if link.from_lane in lanes}
+    for a, b in itertools.combinations(added, 2):
+        merged = "".join("G" if "G" in pair else "r" for pair in zip(a, b, strict=True))
+        assert merged not in (a, b)
+
+
+def requested(policy: str, phases: str, side: str) -> str:
+    """What a policy asks for where vehicles wait on both lanes of the north or on two sides."""
+    site = replace(SITE, signal=of_crossing(NS, NS_LEFT, EW, EW_LEFT))
+    made = policy_of(SignalConfig(policy=policy, phases=phases), site)
+    rows = [(name, 1.0 + 7 * place, 0.0) for name in ("n_0", side) for place in range(6)]
+    observed = seen(100, EW, vehicles(*rows))
+    waiting = observed.counts.model_copy(update={"upstream": {"n_0": 6, side: 6}})
+    return made.decide(replace(observed, counts=waiting)).state
+
+
+@pytest.mark.parametrize("policy", ["predictive", "max_pressure"])
+def test_compatible_phases_are_requested_where_they_serve_more(policy: str) -> None:
+    assert requested(policy, "compatible", "n_1") == ONE_SIDE[0]
+    assert requested(policy, "compatible", "s_0") == NS
+
+
+def test_of_itself_max_pressure_keeps_to_the_plan_and_predictive_control_does_not() -> None:
+    assert requested("max_pressure", "auto", "n_1") == NS
+    assert requested("max_pressure", "plan", "n_1") == NS
+    assert requested("predictive", "auto", "n_1") == ONE_SIDE[0]
+    assert requested("predictive", "plan", "n_1") == NS
