@@ -7,12 +7,14 @@ which no two conflict.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
+from itertools import islice
 
 from protocol.roadmap import RoadMap, Signal
 
 MAX_PHASES = 16
 """With those of the plan: the time that a decision takes grows with them."""
+_MAX_SETS = 4096  # that are looked at: signals of several junctions may have very many
 Group = frozenset[int]
 """Links that turn green together, by their index."""
 
@@ -24,33 +26,33 @@ def with_compatible_phases(signal: Signal, road_map: RoadMap) -> Signal:
     share a lane with it: no lane gets green for a part of its turns. Each maximal set of groups of
     which no two conflict is a phase, unless the plan has one with right of way for all its links.
 
-    Of more than `MAX_PHASES` those that open most links are kept. Nothing is added where the plan shows green to others than vehicles: the conflicts of people who
-    walk are not known. A group that the plan never opens as a whole, or in which links conflict, is
-    in no added phase.
+    Of more than `MAX_PHASES` those that open most links are kept. Nothing is added where the plan
+    shows green to others than vehicles: the conflicts of people who walk are not known. A group
+    that the plan never opens as a whole, or in which links conflict, is in no added phase.
 
     Args:
         signal: with the phases of its plan.
         road_map: has the edges of its lanes.
     """
     signal = signal.model_copy(update={"further_greens": []})
-    conflicts = set(signal.conflicts)
-
-    def is_compatible(one: Group, other: Group) -> bool:
-        return not any((min(a, b), max(a, b)) in conflicts for a in one for b in other)
-
     shown, protected = (
         [{link for link, c in enumerate(green) if c in right} for green in signal.greens]
         for right in ("Gg", "G")
     )
     if any(opened - {link.index for link in signal.links} for opened in shown):
         return signal
+    foes = _foes(signal)
     groups = [
         group
         for group in _groups(signal, road_map)
-        if is_compatible(group, group) and any(group <= opened for opened in shown)
+        if any(group <= opened for opened in shown) and not any(foes[a] & group for a in group)
     ]
+    compatible = {
+        group: {other for other in groups if not any(foes[link] & other for link in group)}
+        for group in groups
+    }
     found = []
-    for chosen in _maximal(groups, is_compatible):
+    for chosen in islice(_maximal(groups, compatible), _MAX_SETS):
         opened = frozenset().union(*chosen)
         if opened and not any(opened <= others for others in protected):
             size = len(signal.plan[0].state)
@@ -73,9 +75,17 @@ def _groups(signal: Signal, road_map: RoadMap) -> list[Group]:
     return sorted((Group(links) for _, links in groups), key=min)
 
 
+def _foes(signal: Signal) -> dict[int, set[int]]:
+    foes: dict[int, set[int]] = {link.index: set() for link in signal.links}
+    for a, b in signal.conflicts:
+        foes.setdefault(a, set()).add(b)
+        foes.setdefault(b, set()).add(a)
+    return foes
+
+
 def _maximal(
     groups: Sequence[Group],
-    is_compatible: Callable[[Group, Group], bool],
+    compatible: Mapping[Group, Set[Group]],
     chosen: tuple[Group, ...] = (),
     tried: Sequence[Group] = (),
 ) -> Iterator[tuple[Group, ...]]:
@@ -83,6 +93,6 @@ def _maximal(
     if not groups and not tried:
         yield chosen
     for index, group in enumerate(groups):
-        left = [other for other in groups[index + 1 :] if is_compatible(group, other)]
-        before = [other for other in (*tried, *groups[:index]) if is_compatible(group, other)]
-        yield from _maximal(left, is_compatible, (*chosen, group), before)
+        left = [other for other in groups[index + 1 :] if other in compatible[group]]
+        before = [other for other in (*tried, *groups[:index]) if other in compatible[group]]
+        yield from _maximal(left, compatible, (*chosen, group), before)

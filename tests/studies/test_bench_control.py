@@ -12,8 +12,8 @@ from signal_controller.observation import CabinetTimes, Observation
 from sim_host.cabinet import SignalCabinet, programme
 from sim_host.config import CabinetConfig
 from studies.bench_control import measure_control, run_case
-from studies.control_baselines import WeightedPressure, webster_signal
-from studies.control_case import PROGRAM, ControlCase
+from studies.control_baselines import COMPATIBLE, WeightedPressure, webster_signal
+from studies.control_case import PROGRAM, ControlCase, signals_of
 from studies.control_run import ControlRun
 from tests.signal_controller.crossing import LANES, PHASES, SIGNAL, SITE, S, counts, green, vehicles
 
@@ -80,6 +80,23 @@ def test_each_baseline_runs(policy: str) -> None:
     (row,) = measure_control([ControlCase("t_junction", policy, duration_s=90)])
     assert row.arrived > 20
     assert row.waited_s < 90
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["webster", "actuated", "max_pressure", "max_wave"])
+def test_baselines_show_compatible_phases(policy: str, tmp_path: Path) -> None:
+    case = ControlCase("t_junction", policy, duration_s=90, settings=COMPATIBLE)
+    run = ControlRun(case, tmp_path)
+    [signal] = signals_of(case, run._road_map)
+    [added] = signal.further_greens
+    shown = set()
+    step = run._step
+    run._step = lambda time_s: (
+        shown.add(run._sumo.trafficlight.getRedYellowGreenState(signal.tls)),
+        step(time_s),
+    )
+    assert run.row().arrived > 20
+    assert added in shown
 
 
 class Lights:

@@ -10,13 +10,14 @@ import pytest
 
 from protocol.errors import ConfigError
 from studies import control_study
-from studies.control_baselines import OWN_SETTINGS, TUNINGS
+from studies.control_baselines import OWN_SETTINGS, TUNINGS, worth_trying
 from studies.control_case import ControlCase
 from studies.control_file import ControlStudy, read_control_study
 from studies.control_page import control_page
 from studies.control_study import Group, PolicyResult, paired, summaries
 from studies.perceived_study import perceived_cases
 from studies.sweep.study_file import path_of
+from tests.signal_controller.crossing import SITE
 
 STUDY = ControlStudy(
     name="own",
@@ -123,6 +124,19 @@ def test_every_setting_that_is_tried_is_one_of_its_baseline() -> None:
     for policy, tunings in TUNINGS.items():
         for tuning in tunings:
             assert set(tuning.own) <= set(OWN_SETTINGS[policy])
+
+
+def test_compatible_phases_are_tried_where_there_are_any() -> None:
+    tunings = TUNINGS["max_pressure"]
+    plain = [one for one in tunings if not one.settings]
+    assert worth_trying(tunings, SITE.road_map) == plain  # its plan has them all
+    [one] = SITE.road_map.intersections
+    fewer = one.model_copy(
+        update={"signal": one.signal.model_copy(update={"plan": one.signal.plan[:8]})}
+    )
+    roads = SITE.road_map.model_copy(update={"intersections": [fewer]})
+    assert worth_trying(tunings, roads) == list(tunings)
+    assert len(tunings) == 2 * len(plain)
 
 
 def test_a_case_that_was_run_is_not_run_again(tmp_path: Path) -> None:
