@@ -112,7 +112,9 @@ class Episodes:
         self._frames_each = round(frames)
         self.stationary_mps = resolved.edge.stationary_mps
         with tempfile.TemporaryDirectory(prefix="cpnet-env-") as folder:
-            setup = build_setup(resolved.model_dump(mode="json"), Path(folder))
+            asked = resolved.model_dump(mode="json")
+            asked["signal"]["policy"] = "controller"  # whoever acts, as in an episode
+            setup = build_setup(asked, Path(folder))
         self.junctions = _junctions(setup)
         self.wanted = dict.fromkeys(self.junctions, 0)
         self._frames: Iterator[SimulatedFrame] | None = None

@@ -55,7 +55,7 @@ _REGION_PROGRESS = {
     "region_end_to_end_seconds": "Its newest, from sensing to signal",
 }
 _JUNCTION_PROGRESS = {
-    "junction_phase": "Number of the green shown, or shown last, in the order of the plan; or -1",
+    "junction_phase": "Number of the green shown, or shown last, those of the plan first; or -1",
     "junction_vehicles": "Vehicles counted before its stop bars",
     "junction_queued": "Of these, stationary ones",
     "junction_coverage_ratio": "Share of its lanes before the stop bars that sensors cover",

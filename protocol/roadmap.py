@@ -94,7 +94,7 @@ class Signal(_Part):
     """A signal: its links, which of them conflict, and the plan that its net brings.
 
     `further_greens` are green states that policies may request beside those of the plan, see
-    `signal_controller.phases`.
+    `sim_host.compatible_phases`.
     """
 
     tls: str
@@ -105,10 +105,14 @@ class Signal(_Part):
     further_greens: Annotated[list[str], FailFast()] = []
 
     @property
+    def planned_greens(self) -> list[str]:
+        """The distinct green states of the plan, in its order."""
+        return list(dict.fromkeys(phase.state for phase in self.plan if phase.is_green))
+
+    @property
     def greens(self) -> list[str]:
-        """The phases of the policies: the plan's distinct green states in its order, and others."""
-        planned = dict.fromkeys(phase.state for phase in self.plan if phase.is_green)
-        return [*planned, *self.further_greens]
+        """The phases of the policies: those of the plan first."""
+        return [*self.planned_greens, *self.further_greens]
 
     def planned_green(self, time_s: float) -> str:
         """Returns the plan's green at a time; within yellow or all-red, the green that follows."""

@@ -26,9 +26,9 @@ class SignalConfig(Section):
     )
     phases: Literal["auto", "plan", "compatible"] = Field(
         "auto",
-        description="greens to choose among. plan: those of the net's plan; compatible: every "
-        "other set of movements without a conflict as well; auto: compatible for predictive, "
-        "else plan",
+        description="greens that a policy may choose. plan: those of the net's plan; compatible: "
+        "beside them, the largest sets of signal groups without a conflict, 16 phases in all; "
+        "auto: compatible for predictive, plan for all others",
     )
     horizon_s: float = Field(
         60, ge=20, le=120, description="predictive: how far ahead it plans; whole seconds count"
@@ -95,12 +95,6 @@ class SignalConfig(Section):
         description="counts farther than this, in simulated time, from the signal's newest state "
         "are not acted on",
     )
-
-    @property
-    def combines_movements(self) -> bool:
-        """Whether there are phases beside those of the plan, see `phases`."""
-        is_predictive = self.policy == "predictive"
-        return self.phases == "compatible" or (self.phases == "auto" and is_predictive)
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -14,7 +14,6 @@ from protocol.plugins import Plugin
 from protocol.roadmap import Signal
 from signal_controller.config import POLICIES, SignalConfig
 from signal_controller.observation import Observation, SignalSite
-from signal_controller.phases import with_compatible_phases
 from signal_controller.predictive import PlannerSettings, PredictivePlanner
 from signal_controller.queue_estimator import (
     Lanes,
@@ -137,8 +136,6 @@ def policy_of(config: SignalConfig, site: SignalSite) -> SignalPolicy:
     Raises:
         ConfigError: the plug-in cannot be imported, refuses its settings or makes no policy.
     """
-    if config.combines_movements:
-        site = replace(site, signal=with_compatible_phases(site.signal, site.road_map))
     match config.policy:
         case "fixed":
             return FixedPlan(site.signal)

@@ -88,8 +88,11 @@ class JunctionModel:
         return np.concatenate([self.status, kept.reshape(-1, len(self.movements)), nothing])
 
     def phase_of(self, green: str) -> int:
-        """Returns the phase that a green state is, or the one most like it."""
-        alike = [sum(a == b for a, b in zip(green, one, strict=False)) for one in self.phases]
+        """Returns the phase that a green state is, or the plan's that is most like it."""
+        if green in self.phases:
+            return self.phases.index(green)
+        planned = self.site.signal.planned_greens
+        alike = [sum(a == b for a, b in zip(green, one, strict=False)) for one in planned]
         return alike.index(max(alike))
 
     def free_flow_s(self, lane: str, distance_m: float) -> float:

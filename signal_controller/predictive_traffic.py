@@ -79,7 +79,9 @@ class TrafficMemory:
         self._exits = _exit_starts(model)
         self._ends_m = _lane_ends(model)
         self._bars = _bars(model, self._ends_m)
+        planned = len(model.site.signal.planned_greens)
         self._has_protected = (model.status == PROTECTED).any(axis=0)
+        self._is_planned_protected = (model.status[:planned] == PROTECTED).any(axis=0)
         self._time_s: float | None = None
 
         around = model.approaches
@@ -395,9 +397,11 @@ class TrafficMemory:
         for index, movement in enumerate(self._model.movements):
             lane = movement.lane
             is_green = shown[index] != RED and time_s - self.green_since_s[index] >= min_green_s
-            is_right = shown[index] == PROTECTED or not self._has_protected[index]
+            is_seen = self._model.lanes[lane] not in unseen
+            has_right = self._has_protected if is_seen else self._is_planned_protected
+            is_right = shown[index] == PROTECTED or not has_right[index]
             has_moved = time_s - self._last_passage_s[lane] < min_green_s
-            is_empty = self._heads[lane] is None and self._model.lanes[lane] not in unseen
+            is_empty = self._heads[lane] is None and is_seen
             if is_empty or (is_green and (is_right or has_moved)):
                 self.served_s[index] = time_s
 

@@ -164,7 +164,7 @@ def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
     The plan decides which of the two yields, so a `G` and a `g` may not be swapped.
     """
     shown: set[tuple[int, int, str, str]] = set()
-    for green in signal.greens:
+    for green in signal.planned_greens:
         for a, b in signal.conflicts:
             one, other = green[a], green[b]
             if one == other == "G":
@@ -201,7 +201,7 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
     Raises:
         ConfigError: there is only one green.
     """
-    greens = signal.greens
+    greens = signal.planned_greens
     if len(greens) < 2:
         raise ConfigError(
             f"cabinet.control is actuated, but signal {signal.tls} has one green only"
@@ -230,7 +230,7 @@ class ActuatedCabinet:
     def __init__(self, signal: Signal, shown: Callable[[], str]) -> None:
         self._signal = signal
         self._shown = shown
-        self._green = signal.greens[0]
+        self._green = signal.planned_greens[0]
         self.refusals: Counter[str] = Counter()
 
     def request(self, request: SignalRequest, now_ns: int) -> str | None:  # noqa: ARG002 - see `SignalCabinet.request`
@@ -244,13 +244,13 @@ class ActuatedCabinet:
     def advance(self, now_ns: int) -> str:  # noqa: ARG002 - see `SignalCabinet.advance`
         """Returns what SUMO shows."""
         state = self._shown()
-        if state in self._signal.greens:
+        if state in self._signal.planned_greens:
             self._green = state
         return state
 
     def spat(self, frame: int, now_ns: int) -> SignalState:
         """Returns phase and timing; the time of the next change is unknown."""
-        state, greens = self.advance(now_ns), self._signal.greens
+        state, greens = self.advance(now_ns), self._signal.planned_greens
         stage = "yellow" if "y" in state else "green" if state in greens else "all_red"
         after = greens[(greens.index(self._green) + 1) % len(greens)]
         return SignalState(

@@ -37,12 +37,13 @@ def read_signal(net: Net, tls: str) -> Signal:
     chosen(net, [tls])
     controlled = sorted((c for c in net.connections if c.tls == tls), key=lambda c: c.link)
     offset_s, phases = net.programs[tls]
-    foes, yields = _relations(net, controlled)
+    foes, yields, unplaced = _relations(net, controlled)
     plan = [
         PlanPhase(duration_s=phase.duration_s, state=_yielding(phase.state, yields))
         for phase in phases
     ]
     _check_plan(net, tls, plan, controlled)
+    foes |= _possible_foes(unplaced, {c.link for c in controlled}, plan)
     links = [
         Link(index=c.link, from_lane=c.from_lane, to_lane=c.to_lane)
         for c in controlled
@@ -117,15 +118,36 @@ def _yielding(state: str, yields: set[tuple[int, int]]) -> str:
     return "".join("g" if link in minor else c for link, c in enumerate(plain))
 
 
-def _relations(
-    net: Net, controlled: list[NetConnection]
-) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
-    """Returns (link, link) pairs that cross or merge, and (link, other) where link yields."""
+Pairs = set[tuple[int, int]]
+
+
+def _possible_foes(unplaced: set[int], links: set[int], plan: list[PlanPhase]) -> Pairs:
+    """Returns the pairs of links that may cross, for all that is known of them.
+
+    Those of which the net does not say what they cross, as without internal lanes: each other link,
+    but those that have right of way with it in some phase of the plan.
+    """
+    return {
+        (link, other)
+        for link in unplaced
+        for other in links - {link}
+        if not any(phase.state[link] == phase.state[other] == "G" for phase in plan)
+    }
+
+
+def _relations(net: Net, controlled: list[NetConnection]) -> tuple[Pairs, Pairs, set[int]]:
+    """Returns (link, link) pairs that cross or merge, and (link, other) where link yields.
+
+    Then the links of which neither is known.
+    """
     at = _positions(net)
     links_at: dict[tuple[str, int], list[int]] = {}
+    unplaced = set[int]()
     for connection in controlled:
         place = _place(net, connection, at)
-        if place is not None:
+        if place is None:
+            unplaced.add(connection.link)
+        else:
             links_at.setdefault(place, []).append(connection.link)
     foes: set[tuple[int, int]] = set()
     yields: set[tuple[int, int]] = set()
@@ -138,7 +160,7 @@ def _relations(
             into.update((link, other) for other in others for link in links if link != other)
     # A pair of which neither yields would be two G at once: then both yield.
     silent = {(a, b) for a, b in foes if (a, b) not in yields and (b, a) not in yields}
-    return foes, yields | silent
+    return foes, yields | silent, unplaced
 
 
 def _ones(bits: str) -> Iterator[int]:

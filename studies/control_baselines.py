@@ -12,7 +12,6 @@ from typing import Any
 from protocol.approaches import Approaches
 from protocol.roadmap import PlanPhase, RoadMap, Signal
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
-from signal_controller.phases import with_compatible_phases
 from signal_controller.policies import (
     Decision,
     FixedPlan,
@@ -20,6 +19,7 @@ from signal_controller.policies import (
     phase_of_highest,
     pressure,
 )
+from sim_host.compatible_phases import compatible_phases
 
 MIN_CYCLE_S, MAX_CYCLE_S = 20.0, 120.0
 _LOST_S = 1.0  # of a change beyond all-red: what start-up loses over what yellow still lets pass
@@ -48,7 +48,7 @@ def webster_signal(
         times: of the cabinet, between the greens.
         cycle_factor: of Webster's cycle, for a timer that is tuned further.
     """
-    greens = signal.greens
+    greens = signal.planned_greens
     ratios = [0.0] * len(greens)
     for lane, flow_vph in flows_vph.items():
         links = [link.index for link in signal.links if link.from_lane == lane]
@@ -72,7 +72,7 @@ def webster_signal(
             "y" in losing
         ):  # yellow and all-red in one: what stays green in it is no green to request
             plan.append(PlanPhase(duration_s=change_s, state=losing))
-    return signal.model_copy(update={"plan": plan})
+    return signal.model_copy(update={"plan": plan, "further_greens": []})
 
 
 def _serving(greens: list[str], links: list[int]) -> list[int]:
@@ -216,17 +216,9 @@ def _losses(loss_s: float, range_m: float, max_green_s: float) -> Tuning:
     )
 
 
-def _with_phases(*tunings: Tuning) -> tuple[Tuning, ...]:
-    """Returns the tunings, and each again with all compatible phases."""
-    more = [
-        replace(one, text=f"{one.text}, compatible phases", settings=COMPATIBLE) for one in tunings
-    ]
-    return *tunings, *more
-
-
 COMPATIBLE: Mapping[str, Any] = {"phases": "compatible"}
-"""Settings with which phases are chosen among all that signal groups allow."""
-_FENCES = _with_phases(
+"""Settings with which a policy chooses among all that signal groups allow."""
+_FENCES = (
     _fence(200, 100),
     _fence(100, 0),
     _fence(50, 0),
@@ -234,14 +226,16 @@ _FENCES = _with_phases(
     _fence(50, 0, 10),
     _fence(100, 50, 10),
 )
+_PRESSURES = (
+    *_FENCES,
+    *(replace(o, text=f"{o.text}, compatible phases", settings=COMPATIBLE) for o in _FENCES),
+)
 TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
-    "webster": _with_phases(
-        *(
-            Tuning(f"cycle x {factor:g}", own={"cycle_factor": factor})
-            for factor in (1.0, 0.7, 0.85, 1.2, 1.5)
-        )
+    "webster": tuple(
+        Tuning(f"cycle x {factor:g}", own={"cycle_factor": factor})
+        for factor in (1.0, 0.7, 0.85, 1.2, 1.5)
     ),
-    "actuated": _with_phases(
+    "actuated": (
         _gaps(3, 2, 50),
         _gaps(3, 2, 25),
         _gaps(2, 2, 50),
@@ -249,7 +243,7 @@ TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
         _gaps(2, 1, 35),
         _gaps(1.5, 1, 25),
     ),
-    "delay_based": _with_phases(
+    "delay_based": (
         _losses(1, 100, 50),
         _losses(1, 100, 25),
         _losses(1, 50, 50),
@@ -257,13 +251,12 @@ TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
         _losses(3, 50, 35),
         _losses(0.5, 30, 25),
     ),
-    **dict.fromkeys(PRESSURES, _FENCES),
+    **dict.fromkeys(PRESSURES, _PRESSURES),
 }
 """Parameters that are tried for each baseline; the first is the default. Others are not tuned."""
 
 
 def worth_trying(tunings: Sequence[Tuning], road_map: RoadMap) -> list[Tuning]:
-    """Returns the tunings, without compatible phases where no signal of a map has any."""
-    signals = [with_compatible_phases(one.signal, road_map) for one in road_map.intersections]
-    has_phases = any(signal.further_greens for signal in signals)
+    """Returns the tunings; those with compatible phases if a signal of the map has any."""
+    has_phases = any(compatible_phases(one.signal, road_map) for one in road_map.intersections)
     return [one for one in tunings if has_phases or one.settings != COMPATIBLE]

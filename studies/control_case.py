@@ -10,15 +10,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 from protocol.errors import ConfigError
-from protocol.roadmap import RoadMap, Signal
-from signal_controller.phases import with_compatible_phases
+from protocol.roadmap import RoadMap
 from sim_host.cabinet import programme
 from sim_host.city_demand import SATURATION
 from sim_host.config import CabinetConfig
 from sim_host.junctions import DEMAND_VPH_PER_LANE
 from sim_host.networks import NETWORKS
 from sim_host.setup import OWN_CONFIG, SUMO_FOLDER, build_setup
-from studies.control_baselines import COMPATIBLE, Tuning
+from studies.control_baselines import Tuning
 from studies.control_file import NETS
 
 OWN_PLAN = "plan"
@@ -94,18 +93,11 @@ def roads_of(case: ControlCase, folder: Path) -> tuple[Path, RoadMap]:
         config = found[0]
         traffic = {"sumocfg": str(config)}
     junctions = list(case.junctions) or "all"
-    setup = build_setup({"traffic": traffic, "junctions": junctions}, folder)
+    signal = {"policy": case.policy, "phases": "auto", **case.settings}
+    setup = build_setup({"traffic": traffic, "junctions": junctions, "signal": signal}, folder)
     if case.net == "moving_peak":
         _move_peak(config.parent / "demand.rou.xml", case.duration_s)
     return config, setup.road_map
-
-
-def signals_of(case: ControlCase, road_map: RoadMap) -> list[Signal]:
-    """Returns the signals of a case with their phases, also for what is no policy of cpnet."""
-    signals = [one.signal for one in road_map.intersections]
-    if case.settings.get("phases") != COMPATIBLE["phases"]:
-        return signals
-    return [with_compatible_phases(one, road_map) for one in signals]
 
 
 def _own_traffic(case: ControlCase) -> dict[str, Any]:
@@ -155,13 +147,13 @@ def write_programs(case: ControlCase, config: Path, road_map: RoadMap, folder: P
     """
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
     root = ElementTree.Element("additional")
-    for one in signals_of(case, road_map):
+    for one in road_map.intersections:
         try:
-            intervals = programme(one, cabinet)
+            intervals = programme(one.signal, cabinet)
         except ConfigError:
             continue  # with one green only there is nothing to decide
         logic = ElementTree.SubElement(
-            root, "tlLogic", id=one.tls, type=case.policy, programID=PROGRAM, offset="0"
+            root, "tlLogic", id=one.signal.tls, type=case.policy, programID=PROGRAM, offset="0"
         )
         for name, value in case.own.items():
             ElementTree.SubElement(logic, "param", key=name, value=f"{value:g}")

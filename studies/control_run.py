@@ -38,7 +38,6 @@ from studies.control_case import (
     WEBSTER,
     ControlCase,
     roads_of,
-    signals_of,
     write_programs,
 )
 
@@ -202,7 +201,7 @@ class ControlRun:
         """
         lights = self._sumo.trafficlight
         state = lights.getRedYellowGreenState(signal.tls)
-        if state not in signal.greens:
+        if state not in signal.planned_greens:
             return False
         lights.setProgram(signal.tls, PROGRAM)
         for logic in lights.getAllProgramLogics(signal.tls):
@@ -369,7 +368,7 @@ def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
     times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
     sites = [
-        SignalSite(one, road_map, case.upstream_m, times) for one in signals_of(case, road_map)
+        SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
     ]
     return [_Controller(_policy(case, site), site, case) for site in sites]
 

@@ -277,12 +277,12 @@ def _tuned(
     if not study.tuning_seeds:
         report(0, 0, "")
         return {}
-    roads = {group: _roads(study, group) for group in groups}
+    roads = {group.net: _roads(study, group) for group in {one.net: one for one in groups}.values()}
     tried = [
         (group, policy, tuning)
         for group in groups
         for policy in study.policies
-        for tuning in worth_trying(tunings.get(policy, ()), roads[group])
+        for tuning in worth_trying(tunings.get(policy, ()), roads[group.net])
     ]
     short = study.model_copy(update={"duration_s": study.tuning_duration_s})
     cases = [

@@ -233,7 +233,7 @@ def _clash(signal: Signal, state: str, a: int, b: int) -> bool:
         {green[a], green[b]} <= set("Gg")
         and state[a] in (green[a], "g")
         and state[b] in (green[b], "g")
-        for green in signal.greens
+        for green in signal.planned_greens
     )
 
 

@@ -155,8 +155,8 @@ class RegionProgress(Part):
 class JunctionProgress(Part):
     """A junction in the newest frame; `vehicles` and `queued` are before its stop bars.
 
-    `phase` is the number of the green, in the order of the fixed plan, that is shown or was shown
-    last, -1 if the plan has none such. `coverage` is the share of the lanes before the stop bars
+    `phase` is the number of the green, in the order of `Signal.greens`, that is shown or was shown
+    last, -1 if there is none such. `coverage` is the share of the lanes before the stop bars
     that sensors cover, None if it is unknown.
     """
 

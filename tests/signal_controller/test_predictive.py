@@ -27,6 +27,7 @@ from signal_controller.predictive_model import JunctionModel
 from signal_controller.predictive_search import Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
 from sim_host.cabinet import SignalCabinet
+from sim_host.compatible_phases import compatible_phases
 from sim_host.config import CabinetConfig
 from tests.roads import lane, one_junction, signal
 from tests.signal_controller.crossing import (
@@ -525,6 +526,21 @@ def test_who_stands_behind_the_stop_bar_waits_inside_until_he_has_left_the_junct
         waits.append(memory.waiting_inside(second))
     assert [one.sum() for one in waits] == [0, 1, 0, 0]
     assert waits[1][model.lane_index["n_1"]] == 1
+
+
+@pytest.mark.parametrize("is_seen", [True, False])
+def test_a_permitted_green_serves_who_is_not_seen_where_the_plan_has_no_other(
+    is_seen: bool,
+) -> None:
+    two = SITE.signal.model_copy(update={"plan": [p for p in SIGNAL.plan if p.state in (NS, EW)]})
+    two = two.model_copy(update={"further_greens": compatible_phases(two, SITE.road_map)})
+    model = JunctionModel(replace(SITE, signal=two), 0.0)
+    memory = TrafficMemory(model, 500, 1900)
+    waiting = vehicles(("n_1", 1.0, 0.0))
+    for second in range(60):
+        memory.take(second, waiting, NS, () if is_seen else ("n_1",))
+    (turn,) = (i for i, one in enumerate(model.movements) if LANES[one.lane] == "n_1")
+    assert memory.served_s[turn] == (0 if is_seen else 59)
 
 
 def test_an_exit_without_room_is_no_green() -> None:

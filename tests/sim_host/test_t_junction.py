@@ -7,7 +7,7 @@ import pytest
 from protocol.errors import ConfigError
 from protocol.messages import Setup
 from protocol.roadmap import RoadMap
-from signal_controller.phases import with_compatible_phases
+from sim_host.compatible_phases import compatible_phases
 from sim_host.setup import with_greens
 
 
@@ -43,8 +43,7 @@ def test_two_phases_main_and_side(roads: RoadMap) -> None:
 
 
 def test_the_right_turn_may_go_with_the_road_that_it_does_not_cross(roads: RoadMap) -> None:
-    signal = with_compatible_phases(roads.intersections[0].signal, roads)
-    assert signal.further_greens == ["GrrrrrrrrGGGG"]
+    assert compatible_phases(roads.intersections[0].signal, roads) == ["GrrrrrrrrGGGG"]
 
 
 def test_conflicts_are_those_of_the_two_roads(roads: RoadMap) -> None:

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.roadmap import RoadMap, Signal
+from protocol.roadmap import Link, RoadMap, Signal
 from signal_controller.config import SignalConfig
-from signal_controller.phases import MAX_PHASES, with_compatible_phases
 from signal_controller.policies import policy_of
+from sim_host.compatible_phases import (
+    MAX_PHASES,
+    compatible_phases,
+    wants_compatible_phases,
+)
+from sim_host.netfile import read_net
+from sim_host.road_map import road_map as road_map_of
+from sim_host.sumo import sumo_home
 from tests.roads import lane, no_road, one_junction, signal
 from tests.signal_controller.crossing import PHASES, SITE, seen, vehicles
 
@@ -25,18 +35,13 @@ def of_crossing(*greens: str) -> Signal:
     return SITE.signal.model_copy(update={"plan": signal("j", plan=plan).plan})
 
 
-def further(one: Signal, roads: RoadMap = SITE.road_map) -> list[str]:
-    return with_compatible_phases(one, roads).further_greens
-
-
 def test_a_plan_of_four_phases_gets_those_of_a_dual_ring() -> None:
-    found = further(of_crossing(NS, NS_LEFT, EW, EW_LEFT))
+    found = compatible_phases(of_crossing(NS, NS_LEFT, EW, EW_LEFT), SITE.road_map)
     assert sorted(found) == sorted(ONE_SIDE)
 
 
 def test_what_the_plan_shows_is_not_added_again() -> None:
-    assert further(SITE.signal) == []
-    assert with_compatible_phases(SITE.signal, SITE.road_map).greens == PHASES
+    assert compatible_phases(SITE.signal, SITE.road_map) == []
 
 
 def test_lanes_with_several_turns_get_no_green_for_some_of_them() -> None:
@@ -46,30 +51,82 @@ def test_lanes_with_several_turns_get_no_green_for_some_of_them() -> None:
     one = signal("j", *links, conflicts=[(2, 3)], plan=plan)
     names = {name for link in links for name in link}
     roads = one_junction("shared", [lane(name, [(0, 0, 0), (9, 0, 0)]) for name in names], one)
-    assert further(one, roads) == ["GGGrG", "rrrGG"]
+    assert compatible_phases(one, roads) == ["GGGrG", "rrrGG"]
 
 
 def test_where_people_walk_by_the_plan_nothing_is_added(road_map: RoadMap) -> None:
     [one] = road_map.intersections
     plan = signal("J", plan=[(9, state + "G") for state in one.signal.greens]).plan
     walking = one.signal.model_copy(update={"plan": plan})
-    assert with_compatible_phases(walking, road_map) == walking
+    assert compatible_phases(walking, road_map) == []
 
 
 def test_a_group_that_the_plan_never_opens_stays_closed() -> None:
     one = signal("j", ("a_0", "x_0"), ("b_0", "y_0"), ("c_0", "z_0"), plan=[(9, "Grr"), (9, "rGr")])
-    assert further(one, no_road()) == ["GGr"]
+    assert compatible_phases(one, no_road()) == ["GGr"]
+
+
+def free(pairs: int, *conflicts: tuple[int, int]) -> Signal:
+    """Links of lanes of their own; an even one conflicts with the next, up to so many pairs."""
+    size = 2 * pairs
+    links = [(f"in{n}_0", f"out{n}_0") for n in range(size)]
+    plan = [(9, "".join("G" if n % 8 == one else "r" for n in range(size))) for one in range(8)]
+    both = [(n, n + 1) for n in range(0, size, 2)]
+    return signal("j", *links, conflicts=[*both, *conflicts], plan=plan)
 
 
 def test_of_very_many_phases_those_that_open_most_links_are_kept() -> None:
-    # Links of odd numbers conflict with the next lower one: each set has one of every two.
-    links = [(f"in{n}_0", f"out{n}_0") for n in range(10)]
-    plan = [(9, "".join("G" if n == one else "r" for n in range(10))) for one in range(10)]
-    pairs = [(n, n + 1) for n in range(0, 8, 2)]
-    one = signal("j", *links, conflicts=[*pairs, (8, 9), (7, 8), (7, 9)], plan=plan)
-    found = with_compatible_phases(one, no_road())
-    assert len(found.greens) == MAX_PHASES
-    assert {green.count("G") for green in found.further_greens} == {5}
+    one = free(5, (7, 8), (7, 9))
+    found = compatible_phases(one, no_road())
+    assert len(one.planned_greens) + len(found) == MAX_PHASES
+    assert {green.count("G") for green in found} == {5}
+
+
+def test_however_many_groups_there_are_no_start_waits_for_them() -> None:
+    began_s = time.process_time()
+    assert len(compatible_phases(free(20), no_road())) == MAX_PHASES - 8
+    alone = free(20).model_copy(update={"conflicts": []})
+    assert compatible_phases(alone, no_road()) == ["G" * 40]
+    assert time.process_time() - began_s < 5
+
+
+def test_a_link_that_yields_to_nobody_known_goes_on_yielding() -> None:
+    one = signal(
+        "j",
+        *(("a_0", "x_0"), ("b_0", "y_0"), ("c_0", "z_0")),
+        conflicts=[(0, 2)],
+        plan=[(9, "Ggr"), (9, "rgG")],
+    )
+    assert compatible_phases(one, no_road()) == []
+    apart = signal("j", *(("a_0", "x_0"), ("b_0", "y_0")), plan=[(9, "Gr"), (9, "rg")])
+    assert compatible_phases(apart, no_road()) == ["Gg"]
+
+
+def test_a_signal_whose_stop_bars_follow_one_another_keeps_to_its_plan() -> None:
+    links = [("a_0", "m_0"), ("m_0", "x_0"), ("b_0", "y_0")]
+    one = signal("j", *links, plan=[(9, "GGr"), (9, "rrG")])
+    assert compatible_phases(one, no_road()) == []
+
+
+def test_links_that_share_an_index_are_one_group() -> None:
+    one = signal("j", ("a_0", "x_0"), ("b_0", "y_0"), ("c_0", "z_0"), plan=[(9, "Grr"), (9, "rGG")])
+    links = [*one.links, Link(index=0, from_lane="b_0", to_lane="w_0")]
+    assert compatible_phases(one.model_copy(update={"links": links}), no_road()) == []
+
+
+def test_without_internal_lanes_nothing_is_opened_that_the_plan_keeps_apart(tmp_path: Path) -> None:
+    net = tmp_path / "grid.net.xml"
+    sumo = sumo_home() / "bin"
+    grid = ["--grid", "--grid.number=2", "-L2", "--grid.attach-length=100", f"-o{net}"]
+    lights = ["--default-junction-type=traffic_light", "--no-internal-links"]
+    subprocess.run([sumo / "netgenerate", *grid, *lights], check=True, capture_output=True)
+    roads = road_map_of(read_net(net), "all")
+    for one in roads.intersections:
+        planned = one.signal.planned_greens
+        for green in compatible_phases(one.signal, roads):
+            opened = [link for link, letter in enumerate(green) if letter != "r"]
+            for a, b in itertools.combinations(opened, 2):
+                assert any(state[a] == state[b] == "G" for state in planned)
 
 
 @st.composite
@@ -96,7 +153,7 @@ def test_added_phases_have_no_conflict_and_nothing_could_be_opened_besides(
     drawn: tuple[Signal, RoadMap],
 ) -> None:
     one, roads = drawn
-    added = further(one, roads)
+    added = compatible_phases(one, roads)
     assert len(set(one.greens + added)) == len(one.greens) + len(added)
     for green in added:
         opened = {link for link, letter in enumerate(green) if letter == "G"}
@@ -110,8 +167,11 @@ def test_added_phases_have_no_conflict_and_nothing_could_be_opened_besides(
 
 def requested(policy: str, phases: str, side: str) -> str:
     """What a policy asks for where vehicles wait on both lanes of the north or on two sides."""
-    site = replace(SITE, signal=of_crossing(NS, NS_LEFT, EW, EW_LEFT))
-    made = policy_of(SignalConfig(policy=policy, phases=phases), site)
+    one = of_crossing(NS, NS_LEFT, EW, EW_LEFT)
+    if wants_compatible_phases({"policy": policy, "phases": phases}):
+        added = compatible_phases(one, SITE.road_map)
+        one = one.model_copy(update={"further_greens": added})
+    made = policy_of(SignalConfig(policy=policy, phases=phases), replace(SITE, signal=one))
     rows = [(name, 1.0 + 7 * place, 0.0) for name in ("n_0", side) for place in range(6)]
     observed = seen(100, EW, vehicles(*rows))
     waiting = observed.counts.model_copy(update={"upstream": {"n_0": 6, side: 6}})
