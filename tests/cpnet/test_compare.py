@@ -92,7 +92,7 @@ def test_the_tutorials_command_gives_a_sentence_and_a_page(net, shell) -> None:
 def test_an_interruption_keeps_what_is_done_and_says_so(net, shell) -> None:
     words = ["compare", f"--net={net}", "--demand=300", "--tuning=60", "--seeds=1", "--out=answer"]
     command = shell.start(*words)
-    command.read_until("tuning 1/34")
+    command.read_until("tuning 1/46")  # 12 of them with compatible phases
     command.process.send_signal(signal.SIGINT)
     status, printed = command.finish()
     assert status == 130
