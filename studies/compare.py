@@ -103,6 +103,7 @@ def _baselines(comparison: Comparison) -> ControlStudy:
         duration_s=asked.duration_s,
         warmup_s=asked.warmup_s,
         tuning_duration_s=max(MIN_TUNING_S, asked.tuning_s),
+        finalists=1,
         junctions=sorted(comparison.road_map.by_tls),
     )
 

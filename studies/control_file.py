@@ -50,6 +50,13 @@ class ControlStudy(Section):
     )
     junctions: list[str] = Field([], description="signals that are controlled; none named: all")
     tuning_duration_s: int = Field(1200, ge=60, le=86400, description="of each run for tuning")
+    finalists: int = Field(
+        3,
+        ge=1,
+        le=20,
+        description="tunings of each baseline, the best of those runs, that are tried again in "
+        "runs as long as the reported ones; 1: the best one is taken",
+    )
 
     def check(self) -> None:
         """Checks that span several fields.

@@ -10,7 +10,7 @@ import pytest
 
 from protocol.errors import ConfigError
 from studies import control_study
-from studies.control_baselines import OWN_SETTINGS, TUNINGS, worth_trying
+from studies.control_baselines import OWN_SETTINGS, TUNINGS, Tuning, worth_trying
 from studies.control_case import ControlCase
 from studies.control_file import ControlStudy, read_control_study
 from studies.control_page import control_page
@@ -137,6 +137,34 @@ def test_compatible_phases_are_tried_where_there_are_any() -> None:
     roads = SITE.road_map.model_copy(update={"intersections": [fewer]})
     assert worth_trying(tunings, roads) == list(tunings)
     assert len(tunings) == 2 * len(plain)
+
+
+class ShortAndLong:
+    """Runs in which another tuning is best than in shorter ones."""
+
+    def __init__(self) -> None:
+        self.durations_s: list[int] = []
+
+    def run(self, work, cases, processes, report):
+        self.durations_s += [one.case.duration_s for one in cases]
+        order = {30.0: (1, 3), 50.0: (2, 2), 100.0: (3, 1), 200.0: (4, 0)}
+        return [
+            {"delay_s": order[one.case.upstream_m][one.case.duration_s == 3600]} for one in cases
+        ]
+
+
+@pytest.mark.parametrize(("finalists", "upstream_m", "runs"), [(3, 100.0, 7), (1, 30.0, 4)])
+def test_the_best_of_short_runs_are_tried_again_in_long_ones(
+    monkeypatch, finalists, upstream_m, runs
+) -> None:
+    monkeypatch.setattr(control_study, "_roads", lambda study, group: SITE.road_map)
+    study = STUDY.model_copy(update={"finalists": finalists, "tuning_seeds": [101]})
+    store, group = ShortAndLong(), Group("t_junction", 1.0)
+    fences = [Tuning("", upstream_m=m, downstream_m=0) for m in (200.0, 30.0, 100.0, 50.0)]
+    tried = {"max_pressure": fences}
+    found = control_study._tuned(study, [group], {}, store, 1, lambda *_: None, tried)
+    assert found[group, "max_pressure"].upstream_m == upstream_m
+    assert store.durations_s == [1200] * 4 + [3600] * (runs - 4)
 
 
 def test_a_case_that_was_run_is_not_run_again(tmp_path: Path) -> None:
