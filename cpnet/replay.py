@@ -30,6 +30,7 @@ from recording.foreign_scans.mutual import misplaced
 from recording.foreign_scans.poses import write_extrinsics
 from recording.mcap.reader import McapReader
 from recording.playback.frames import RecordingSummary
+from sim_host.compatible_phases import with_phases
 
 LIVE = ("edge", "signal", "cabinet", "link", "record")
 """Sections that a replay may change: those whose effects are not in the recording."""
@@ -102,11 +103,18 @@ def setup_of(path: Path, overrides: dict[str, Any], pace: Pace) -> Setup:
             facts["link.apply"] = "auto"
     if not survey.has_truth:
         facts["record.truth"] = False
+    if "phases" not in data["signal"]:  # as it was before there was a choice
+        facts["signal.phases"] = "plan"
     scenario = scenarios.changed(data, {**facts, **overrides}, str(path))
     if scenario.duration_s > most_s:
         raise ConfigError(f"duration_s is {scenario.duration_s:g}, the recording has {most_s:g} s")
     _check_cabinet(scenario)
-    changed = {"scenario": scenario.model_dump(mode="json"), "version": own_version()}
+    changed: dict[str, Any] = {
+        "scenario": scenario.model_dump(mode="json"),
+        "version": own_version(),
+    }
+    if overrides.keys() & {"signal.policy", "signal.phases"}:
+        changed["road_map"] = with_phases(recording.setup.road_map, changed["scenario"]["signal"])
     return recording.setup.model_copy(update=changed)
 
 

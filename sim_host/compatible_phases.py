@@ -15,30 +15,26 @@ from protocol.roadmap import RoadMap, Signal
 
 MAX_PHASES = 16
 """With those of the plan: the time that a decision takes grows with them."""
-_MAX_SETS = 4096  # that are looked at
+_MAX_SETS = 4096  # that are looked at, and of which those that open most links are kept
 Group = frozenset[int]
 """Links that turn green together, by their index."""
 
 
+def with_phases(roads: RoadMap, section: Mapping[str, Any]) -> RoadMap:
+    """Returns the map whose signals have the phases that a scenario's section `signal` asks for."""
+    is_wanted = wants_compatible_phases(section)
+    intersections = []
+    for one in roads.intersections:
+        further = compatible_phases(one.signal, roads) if is_wanted else []
+        signal = one.signal.model_copy(update={"further_greens": further})
+        intersections.append(one.model_copy(update={"signal": signal}))
+    return RoadMap(name=roads.name, lanes=roads.lanes, intersections=intersections)
+
+
 def wants_compatible_phases(section: Mapping[str, Any]) -> bool:
-    """Whether a scenario's section `signal` asks for compatible phases."""
+    """Whether a section `signal` asks for more phases than those of the plan."""
     phases = section.get("phases", "plan")
     return phases == "compatible" or (phases == "auto" and section.get("policy") == "predictive")
-
-
-def with_compatible_phases(roads: RoadMap) -> RoadMap:
-    """Returns the map with signals that have compatible phases, see `compatible_phases`."""
-    intersections = [
-        one.model_copy(
-            update={
-                "signal": one.signal.model_copy(
-                    update={"further_greens": compatible_phases(one.signal, roads)}
-                )
-            }
-        )
-        for one in roads.intersections
-    ]
-    return RoadMap(name=roads.name, lanes=roads.lanes, intersections=intersections)
 
 
 def compatible_phases(signal: Signal, roads: RoadMap) -> list[str]:
@@ -50,9 +46,8 @@ def compatible_phases(signal: Signal, roads: RoadMap) -> list[str]:
     links. A group that the plan never opens as a whole, or in which links conflict, is in none.
 
     With the plan's there are at most `MAX_PHASES`: those that open most links. There are none where
-    the plan shows green to others than vehicles, as the conflicts of people who walk are not known,
-    and where vehicles pass several stop bars of the signal one after the other: its plan
-    coordinates them.
+    the plan shows green to others than road vehicles, as their conflicts are not known, and where
+    one stop bar leads to another of the same signal: its plan coordinates them.
 
     Args:
         signal: with the phases of its plan.

@@ -66,6 +66,7 @@ class NetJunction:
     id: str
     centre: Point
     shape: list[Point]
+    incoming_lanes: list[str]
     internal_lanes: list[str]
     foes: dict[int, str]
     responses: dict[int, str]
@@ -199,6 +200,7 @@ def _junction(element: ElementTree.Element) -> NetJunction:
         id=a["id"],
         centre=(_number(a["x"]), _number(a["y"]), _number(a.get("z"))),
         shape=_shape(a.get("shape", "")),
+        incoming_lanes=a.get("incLanes", "").split(),
         internal_lanes=a.get("intLanes", "").split(),
         foes={int(r.attrib["index"]): r.attrib["foes"] for r in requests},
         responses={int(r.attrib["index"]): r.attrib["response"] for r in requests},

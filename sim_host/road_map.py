@@ -124,8 +124,8 @@ Pairs = set[tuple[int, int]]
 def _possible_foes(unplaced: set[int], links: set[int], plan: list[PlanPhase]) -> Pairs:
     """Returns the pairs of links that may cross, for all that is known of them.
 
-    Those of which the net does not say what they cross, as without internal lanes: each other link,
-    but those that have right of way with it in some phase of the plan.
+    One of which the net does not say what it crosses may cross each other one, but those that have
+    right of way with it in some phase of the plan.
     """
     return {
         (link, other)
@@ -140,11 +140,12 @@ def _relations(net: Net, controlled: list[NetConnection]) -> tuple[Pairs, Pairs,
 
     Then the links of which neither is known.
     """
-    at = _positions(net)
+    at, in_order = _positions(net), _without_internal_lanes(net)
     links_at: dict[tuple[str, int], list[int]] = {}
     unplaced = set[int]()
     for connection in controlled:
-        place = _place(net, connection, at)
+        ways = connection.from_lane, connection.to_lane
+        place = _place(net, connection, at) or in_order.get(ways)
         if place is None:
             unplaced.add(connection.link)
         else:
@@ -174,6 +175,22 @@ def _positions(net: Net) -> dict[str, tuple[str, int]]:
         for junction in net.junctions.values()
         for index, lane in enumerate(junction.internal_lanes)
     }
+
+
+def _without_internal_lanes(net: Net) -> dict[tuple[str, str], tuple[str, int]]:
+    """Maps a connection, by its lanes, to the same where a junction has no internal lanes.
+
+    Requests are then in the order of the incoming lanes, and of the connections of each.
+    """
+    leaving: dict[str, list[str]] = {}
+    for connection in net.connections:
+        leaving.setdefault(connection.from_lane, []).append(connection.to_lane)
+    found: dict[tuple[str, str], tuple[str, int]] = {}
+    for junction in net.junctions.values():
+        if not junction.internal_lanes:
+            ways = [(a, b) for a in junction.incoming_lanes for b in leaving.get(a, [])]
+            found |= {way: (junction.id, index) for index, way in enumerate(ways)}
+    return found
 
 
 def _place(

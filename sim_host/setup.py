@@ -20,7 +20,7 @@ from protocol.roadmap import RoadMap
 from protocol.version import own_version
 from sensing.config import SceneConfig
 from sim_host.city_demand import write_city_demand
-from sim_host.compatible_phases import wants_compatible_phases, with_compatible_phases
+from sim_host.compatible_phases import with_phases
 from sim_host.config import TrafficConfig
 from sim_host.demand import (
     first_departure_s,
@@ -123,8 +123,7 @@ def build_setup(scenario: dict[str, Any], run_dir: Path) -> Setup:
     else:
         roads, types = _own_world(traffic, junctions, folder)
     roads = with_greens(roads, scenario.get("cabinet", {}).get("plan_greens_s", []))
-    if wants_compatible_phases(scenario.get("signal", {})):
-        roads = with_compatible_phases(roads)
+    roads = with_phases(roads, scenario.get("signal", {}))
     scenario = resolved(scenario, roads)
     meshes = PackedMeshes.of(load_meshes(sumo_home() / "data" / "3D"))
     outlines = scenario.get("scene", {}).get("polygons")

@@ -125,7 +125,7 @@ def perceived_cases(
     if fence is not None:
         settings |= {"edge.upstream_m": fence.upstream_m, "edge.downstream_m": fence.downstream_m}
         settings["signal.hold_s"] = fence.own["hold_s"]
-        settings |= {f"signal.{key}": value for key, value in fence.settings.items()}
+        settings["signal.phases"] = fence.settings.get("phases", "plan")
     for seed in asked.seeds:
         title = f"{comparison.name} {policy} {sight} seed={seed}"
         scenario = resolve({**asked.common_settings, **settings, "seed": seed})

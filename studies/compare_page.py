@@ -227,7 +227,7 @@ _MEASURE = (
     "Delay is time loss plus departure delay of every vehicle that had not arrived when the "
     "warm-up ended: those still on the way at the end and those kept outside count too, which is "
     "the rest where fewer have arrived than there are. Every "
-    "variant has the same demand, seed by seed; differences are means of pairs. Timers, loops and "
+    "variant has the same demand, seed by seed; differences are means of pairs. Timers, loops, and "
     "fence and phases of max pressure {tuned}; the best baseline is the best on "
     "the seeds that are reported, which favours it. "
     f'"{ALL_KNOWN.capitalize()}" is the same policy on SUMO alone that knows where each vehicle '

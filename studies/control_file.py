@@ -58,6 +58,11 @@ class ControlStudy(Section):
         "runs as long as the reported ones; 1: the best one is taken",
     )
 
+    @property
+    def finals(self) -> int:
+        """How many tunings are tried again: one, so none is, where that would take less time."""
+        return self.finalists if self.duration_s > self.tuning_duration_s else 1
+
     def check(self) -> None:
         """Checks that span several fields.
 

@@ -45,8 +45,8 @@ def control_page(
         f"its 95 % interval. A difference is that of {study.studied} to the control, seed by seed; "
         "one within its interval cannot be told from none. "
     )
-    again = f", the best {study.finalists} again for as long as the reported runs"
-    again = again if study.finalists > 1 else ""
+    again = f", the best {study.finals} again for as long as the reported runs"
+    again = again if study.finals > 1 else ""
     lead += (
         f"Each baseline is tuned for each net and demand on seeds {_listed(study.tuning_seeds)}, "
         f"{study.tuning_duration_s:,d} s each{again}; seeds {_listed(study.seeds)} are reported."

@@ -301,8 +301,8 @@ def _tuned(
         delays_s = [mean(float(next(rows)["delay_s"]) for _ in study.tuning_seeds) for _ in tried]
         return _least(tried, delays_s, kept)
 
-    found = best_of(tried, study.finalists, study.tuning_duration_s)
-    if study.finalists > 1:
+    found = best_of(tried, study.finals, study.tuning_duration_s)
+    if study.finals > 1:
         found = best_of(found, 1, study.duration_s)
     return {(group, policy): tuning for group, policy, tuning in found}
 

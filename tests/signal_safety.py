@@ -123,7 +123,7 @@ class SignalMonitor:
         """Whether the plan shows both green at once, with as much right of way or more."""
         return state[a] + state[b] != "GG" and any(
             all(_colour(green[k]) == _GREEN and green[k] <= state[k] for k in (a, b))
-            for green in self._signal.greens  # "G" comes before "g"
+            for green in self._signal.planned_greens  # "G" comes before "g"
         )
 
     def _changes(self, time_ns: int, colours: list[str]) -> list[str]:

@@ -207,7 +207,7 @@ def test_any_fence_that_tuning_may_choose_can_be_perceived(net, tmp_path, tuning
     (case, *_) = perceived_cases(comparison, "max_pressure", "posts", tuning, resolve)
     assert case.scenario["edge"]["downstream_m"] == tuning.downstream_m
     assert case.scenario["signal"]["hold_s"] == tuning.own["hold_s"]
-    assert case.scenario["signal"]["phases"] == tuning.settings.get("phases", "auto")
+    assert case.scenario["signal"]["phases"] == tuning.settings.get("phases", "plan")
 
 
 @pytest.mark.parametrize("realism", ["clear", "hard"])

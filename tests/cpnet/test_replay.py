@@ -98,6 +98,20 @@ def test_a_replay_is_begun_where_the_recording_is(shell, recorded):
     assert (status, "a replay is begun where the role sim runs" in output) == (2, True)
 
 
+@pytest.mark.parametrize(
+    ("setting", "phases"),
+    [
+        ("signal.policy=predictive", 3),
+        ("signal.phases=compatible", 3),
+        ("signal.policy=fixed", 2),
+        ("edge.deadline_ms=70", 2),
+    ],
+)
+def test_another_policy_has_the_phases_that_it_asks_for(recorded, setting, phases):
+    setup = setup_of(recorded, dict([scenarios.parse_assignment(setting)]), Pace())
+    assert len(setup.road_map.intersections[0].signal.greens) == phases
+
+
 def test_over_another_link_more_arrives(tmp_path, recorded):
     faster = solo(recorded, tmp_path / "faster", "link.profile=none", "link.roadside_profile=none")
     used = [sum(row.points or 0 for row in rows(run, FrameRow)) for run in (recorded, faster)]

@@ -214,7 +214,7 @@ def check_no_conflict(signal: Signal, shown: list[str]) -> None:
         for a, b in signal.conflicts:
             if state[a] in "Gg" and state[b] in "Gg":
                 assert state[a] + state[b] != "GG"
-                assert any(g[a] in "Gg" and g[b] in "Gg" for g in signal.greens)
+                assert any(g[a] in "Gg" and g[b] in "Gg" for g in signal.planned_greens)
 
 
 def check_times(link: int, history: list[tuple[int, str]], config: CabinetConfig) -> None:

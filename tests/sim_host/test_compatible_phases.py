@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from sim_host.compatible_phases import (
     compatible_phases,
     wants_compatible_phases,
 )
+from sim_host.junctions import write_net
 from sim_host.netfile import read_net
 from sim_host.road_map import road_map as road_map_of
 from sim_host.sumo import sumo_home
@@ -112,19 +114,28 @@ def test_links_that_share_an_index_are_one_group() -> None:
     assert compatible_phases(one.model_copy(update={"links": links}), no_road()) == []
 
 
-def test_without_internal_lanes_nothing_is_opened_that_the_plan_keeps_apart(tmp_path: Path) -> None:
-    net = tmp_path / "grid.net.xml"
-    sumo = sumo_home() / "bin"
-    grid = ["--grid", "--grid.number=2", "-L2", "--grid.attach-length=100", f"-o{net}"]
-    lights = ["--default-junction-type=traffic_light", "--no-internal-links"]
-    subprocess.run([sumo / "netgenerate", *grid, *lights], check=True, capture_output=True)
+def test_without_internal_lanes_conflicts_and_phases_are_the_same(tmp_path: Path) -> None:
+    options = ["--grid", "--grid.number=2", "-L2", "--grid.attach-length=100"]
+    options += ["--default-junction-type=traffic_light", "--tls.left-green.time=6"]
+    found = []
+    for more in ([], ["--no-internal-links"]):
+        net = tmp_path / f"grid{len(found)}.net.xml"
+        command = [sumo_home() / "bin" / "netgenerate", *options, *more, f"-o{net}"]
+        subprocess.run(command, check=True, capture_output=True)
+        roads = road_map_of(read_net(net), "all")
+        crossings = [one.signal for one in roads.intersections if len(one.signal.greens) > 1]
+        found.append([(one.conflicts, compatible_phases(one, roads)) for one in crossings])
+    assert found[0] == found[1]
+    assert len([conflicts for conflicts, added in found[0] if conflicts and added]) == 4
+
+
+def test_links_of_which_a_net_says_nothing_open_only_with_those_of_the_plan(tmp_path: Path) -> None:
+    net = tmp_path / "t_junction.net.xml"
+    write_net(tmp_path)
+    text = net.read_text("utf-8")
+    net.write_text(re.sub(r'(intLanes|incLanes)="[^"]*"', r'\1=""', text), encoding="utf-8")
     roads = road_map_of(read_net(net), "all")
-    for one in roads.intersections:
-        planned = one.signal.planned_greens
-        for green in compatible_phases(one.signal, roads):
-            opened = [link for link, letter in enumerate(green) if letter != "r"]
-            for a, b in itertools.combinations(opened, 2):
-                assert any(state[a] == state[b] == "G" for state in planned)
+    assert compatible_phases(roads.intersections[0].signal, roads) == []
 
 
 @st.composite
