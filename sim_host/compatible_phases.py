@@ -96,7 +96,7 @@ def _is_passed_twice(signal: Signal, roads: RoadMap) -> bool:
 
 
 def _groups(signal: Signal, roads: RoadMap) -> list[Group]:
-    """Returns the signal groups, in the order of their first links."""
+    """Returns the signal groups."""
     groups: list[tuple[set[object], set[int]]] = []  # what makes links one group, and the links
     for link in signal.links:
         edges = roads.edge_of(link.from_lane), roads.edge_of(link.to_lane)
@@ -105,7 +105,7 @@ def _groups(signal: Signal, roads: RoadMap) -> list[Group]:
         groups = [group for group in groups if group not in same]
         links = {link.index}.union(*(others for _, others in same))
         groups.append((keys.union(*(others for others, _ in same)), links))
-    return sorted((Group(links) for _, links in groups), key=min)
+    return [Group(links) for _, links in groups]
 
 
 def _foes(signal: Signal) -> dict[int, set[int]]:

@@ -226,7 +226,7 @@ _FENCES = (
     _fence(50, 0, 10),
     _fence(100, 50, 10),
 )
-_PRESSURES = (
+_WITH_PHASES = (
     *_FENCES,
     *(replace(o, text=f"{o.text}, compatible phases", settings=COMPATIBLE) for o in _FENCES),
 )
@@ -251,7 +251,7 @@ TUNINGS: Mapping[str, tuple[Tuning, ...]] = {
         _losses(3, 50, 35),
         _losses(0.5, 30, 25),
     ),
-    **dict.fromkeys(PRESSURES, _PRESSURES),
+    **dict.fromkeys(PRESSURES, _WITH_PHASES),
 }
 """Parameters that are tried for each baseline; the first is the default. Others are not tuned."""
 

@@ -32,14 +32,7 @@ from studies.control_baselines import (
     WeightedPressure,
     webster,
 )
-from studies.control_case import (
-    OWN_PLAN,
-    PROGRAM,
-    WEBSTER,
-    ControlCase,
-    roads_of,
-    write_programs,
-)
+from studies.control_case import OWN_PLAN, PROGRAM, WEBSTER, ControlCase, roads_of, write_programs
 
 STEP_S = 0.1
 _STEPS_A_SECOND = round(1 / STEP_S)
