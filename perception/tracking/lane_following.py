@@ -212,7 +212,7 @@ _GRAPH = "float64[:,::1], int64[::1], float64[::1], float64[::1], int64[::1], in
 @njit(
     "void(float64[:,::1], float64[:,:,::1], float64[:,::1], int64[::1], float64[::1], float64[::1],"
     " float64[::1], float64[::1], float64, boolean[::1], boolean[::1], boolean[::1],"
-    f" {_GRAPH}, float64[::1], uint8[::1])",
+    f" boolean[::1], {_GRAPH}, float64[::1], uint8[::1])",
     cache=True,
 )
 def follow_lanes(
@@ -228,6 +228,7 @@ def follow_lanes(
     free: Bools,
     seen: Bools,
     solid: Bools,
+    known: Bools,
     segments: Floats,
     first: Ints,
     length_m: Floats,
@@ -239,7 +240,8 @@ def follow_lanes(
 ) -> None:
     """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
 
-    Solid ones stand in the way of those behind them; free ones do only that. How far off the mean
+    Solid ones stand in the way of those behind them; free ones do only that. Who does not move is
+    taken to stand if it is `known`, or waits behind another or before a bar. How far off the mean
     of a track is that was not `seen` in the last frame is bounded by others. `dims` (N, 4) are z,
     length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of `LaneGraph.lights`.
     `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
@@ -277,6 +279,9 @@ def follow_lanes(
                     share[n] *= trips[way] / ways.sum()
                 along_m[n] -= length_m[lane[n]]
                 lane[n] = followers[way]
+    gap_m, ahead, _ = _ahead(
+        mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
+    )
     for n in range(count):
         if free[n]:
             continue
@@ -287,11 +292,9 @@ def follow_lanes(
         turned = heading - mean[n, 2]
         mean[n, 2], mean[n, 4] = heading, 0.0
         _turn(covariance[n], turned, heading)
-        if mean[n, 3] < STANDS_MPS:
+        waits = gap_m[n] <= START_M and (ahead[n] < 0 or mean[ahead[n], 3] < CREEP_MPS)
+        if mean[n, 3] < STANDS_MPS and (waits or known[n]):
             stands = np.eye(6)
             stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
             spread(stands, covariance[n])
-    gap_m, ahead, _ = _ahead(
-        mean, dims, lane, along_m, solid, length_m, leads, followers, trips, lights
-    )
     _bound(mean, covariance, seen, solid, gap_m, ahead)

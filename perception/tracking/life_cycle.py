@@ -28,7 +28,8 @@ FIRST_EXISTENCE = 0.6
 MOST_EXISTENCE = 0.99
 HIT_ODDS = 4.0  # of a detection of a vehicle to one of nothing
 UNSURE_LIFE_S = 0.5  # of a track that is not confirmed
-SURE_HITS, SURE_S = 5, 0.65  # a track of so many detections, the last so lately, is no double
+SURE_HITS = 5  # a track of so many detections is no mistake ...
+SURE_S = 0.65  # ... and if the last one was so lately, no double of another
 HALF_CAR_M = 2.5  # a position is known where its error is less
 
 

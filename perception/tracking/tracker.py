@@ -14,6 +14,7 @@ from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_following import CRUISE_STD_MPS, cruise, follow_lanes
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.life_cycle import (
+    SURE_HITS,
     born,
     lower_existence,
     place_on_lanes,
@@ -192,12 +193,12 @@ class Tracker:
     def _follow_lanes(self, dt_s: float, free: Bools, signals: Mapping[str, str]) -> None:
         lanes, states = self._lanes, self._states
         assert lanes is not None
-        solid = states.hits >= self._config.confirm_hits
+        solid, known = states.hits >= self._config.confirm_hits, states.hits >= SURE_HITS
         follow_lanes(
             states.mean, states.covariance, states.dims, states.lane, states.along_m, states.off_m,
-            states.existence, states.cruise, dt_s, free, states.seen, solid, lanes.segments,
-            lanes.first, lanes.length_m, lanes.speed_mps, lanes.leads, lanes.followers, self._trips,
-            lanes.lights(signals),
+            states.existence, states.cruise, dt_s, free, states.seen, solid, known,
+            lanes.segments, lanes.first, lanes.length_m, lanes.speed_mps, lanes.leads,
+            lanes.followers, self._trips, lanes.lights(signals),
         )  # fmt: skip
 
     def _correct(

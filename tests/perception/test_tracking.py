@@ -338,6 +338,16 @@ def test_who_stands_unseen_stays_where_it_is() -> None:
     assert tracks.scores[0] < 0.9
 
 
+def test_two_detections_in_one_place_are_not_of_a_vehicle_that_stands_there_for_long() -> None:
+    # They may be of two vehicles that followed each other, where nobody saw them but there.
+    tracker, at_once = Tracker(CONFIG, STRAIGHT), []
+    for second in range(15):
+        there = cars((50.0, 0)) if second < 2 else cars()
+        at_once.append(len(tracker.step(second * 10 * DT, there, NOBODY)))
+    assert at_once[2] == 1
+    assert at_once[-1] == 0
+
+
 def test_an_empty_place_in_plain_view_ends_a_track_at_once_and_a_shadow_does_not() -> None:
     seen, hidden = Tracker(CONFIG, STRAIGHT), Tracker(CONFIG, STRAIGHT)
     for tracker in (seen, hidden):
