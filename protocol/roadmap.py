@@ -114,6 +114,34 @@ class Signal(_Part):
         """The phases of the policies: those of the plan first."""
         return [*self.planned_greens, *self.further_greens]
 
+    @cached_property
+    def foes(self) -> dict[int, set[int]]:
+        """The links that conflict with each link."""
+        found: dict[int, set[int]] = {n: set() for n in range(len(self.plan[0].state))}
+        for a, b in self.conflicts:
+            found[a].add(b)
+            found[b].add(a)
+        return found
+
+    def stopped(self, before: str, after: str) -> list[bool]:
+        """Returns for each link whether a change between two greens stops it, by yellow and red.
+
+        Stopped are links that lose their green, and those that had right of way (`G`) and are to
+        yield (`g`) to a link that gets other rights: whoever drives then must not meet it.
+        """
+        changed = [a != b for a, b in zip(before, after, strict=True)]
+        return [
+            a in "Gg"
+            and (
+                b not in "Gg"
+                or (
+                    a + b == "Gg"
+                    and any(changed[foe] and after[foe] in "Gg" for foe in self.foes[link])
+                )
+            )
+            for link, (a, b) in enumerate(zip(before, after, strict=True))
+        ]
+
     def planned_green(self, time_s: float) -> str:
         """Returns the plan's green at a time; within yellow or all-red, the green that follows."""
         cycle_s = sum(phase.duration_s for phase in self.plan)

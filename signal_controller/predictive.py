@@ -18,6 +18,7 @@ from signal_controller.predictive_discharge import YELLOW_USED_STEPS, Problem, c
 from signal_controller.predictive_model import (
     PERMITTED,
     PROTECTED,
+    RED,
     STEP_S,
     Floats,
     JunctionModel,
@@ -31,6 +32,7 @@ MAX_VEHICLES = 1000
 """Vehicles that one decision considers: the nearest."""
 _YELLOW_S = YELLOW_USED_STEPS * STEP_S  # a lane seen for less cannot tell which vehicles pass
 _SOON_STEPS = 10  # a change that is planned within these is tried immediately, see `_planned`
+_NO_WORSE = 1.02  # costs that differ by less are equal: the end of the horizon changes them as much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,19 +140,19 @@ class PredictivePlanner:
     def _planned(self, problem: Problem, forced: int | None) -> Plan:
         """Returns the best plan found.
 
-        Where lanes are not seen, arrivals are equally likely at any time, and a change that is
-        planned soon could be postponed again and again. So an immediate change is tested
-        separately, and chosen if it is no worse: the search keeps few of the plans that do.
+        Where vehicles are not known one by one, arrivals are equally likely at any time, and a
+        change that is planned soon could be postponed again and again. So an immediate change is
+        tested separately, and chosen if it is no worse: the search keeps few of the plans that do.
         """
         prices, max_nodes = self._settings.prices, self._settings.max_nodes
         plan = search(problem, prices, max_nodes, forced)
-        if forced is not None or not plan.phases[1:] or self.queues.is_seen.all():
+        if forced is not None or not plan.phases[1:] or problem.is_known.all():
             return plan
         phase, step = plan.phases[1]
         if not 0 < step <= _SOON_STEPS:
             return plan
         at_once = search(problem, prices, max_nodes, phase)
-        best = at_once if at_once.cost <= plan.cost else plan
+        best = at_once if at_once.cost <= _NO_WORSE * plan.cost else plan
         return replace(best, nodes=plan.nodes + at_once.nodes)
 
     def _compile(self) -> None:
@@ -204,6 +206,8 @@ class PredictivePlanner:
             is_known=self.queues.is_seen & (self.queues.coverage * model.reach_s >= _YELLOW_S),
             protected=protected,
             permitted=permitted,
+            both=np.where(model.status[:, None] * model.status[None, :] > RED, may, 0.0)
+            @ model.lane_of,
             head=memory.head_may_go(model.status),
             inside=inside,
             headway_s=memory.headway_s,
@@ -274,7 +278,6 @@ class PredictivePlanner:
         """Adds to arrivals (L, T) those of vehicles that are not known one by one."""
         model, memory, steps = self.model, self.memory, result.shape[1]
         queues = self.queues
-        result[:, 0] += np.maximum(0.0, queues.expected() - queues.queued())
         counted_per_s = memory.arrivals_per_s
         inflow_per_s = np.where(queues.is_seen, counted_per_s, queues.arrivals_per_s)
         unreported_per_s = np.where(
@@ -282,6 +285,7 @@ class PredictivePlanner:
         )
         at_s = np.arange(steps)[None, :] * STEP_S
         seen_s = np.where(queues.is_seen, queues.coverage, 0.0) * model.reach_s
+        result[:, 0] += np.maximum(0.0, queues.expected() - queues.queued())
         is_beyond = at_s >= model.reach_s[:, None]
         unknown_per_s = np.where(is_beyond, inflow_per_s[:, None], unreported_per_s[:, None])
         result += (at_s >= seen_s[:, None]) * unknown_per_s * STEP_S

@@ -36,6 +36,7 @@ class Problem:
             `YELLOW_USED_STEPS`.
         protected: (R, L) share of a lane's vehicles that may go, with right of way.
         permitted: (R, L) share that may go and yields.
+        both: (P, P, L) share that may go in both of two phases.
         head: (P, L) probability that the first vehicle of a lane may go in a phase.
         inside: (L,) vehicles of a lane that wait for a gap behind its stop bar and block it.
         headway_s: (L,) between vehicles of a queue; `lost_s` (L,) from green to the first one.
@@ -55,6 +56,7 @@ class Problem:
     is_known: Bools
     protected: Floats
     permitted: Floats
+    both: Floats
     head: Floats
     inside: Floats
     headway_s: Floats
@@ -235,9 +237,9 @@ def turn_head(
     last_open: Ints,
     old: int,
     new: int,
-    phases: int,
     protected: Floats,
     permitted: Floats,
+    both: Floats,
     head: Floats,
 ) -> None:
     """Turns the probability that a lane's first vehicle may go into that for the new phase.
@@ -258,10 +260,9 @@ def turn_head(
         if queue[lane] <= 0.0:
             fresh[lane] = share
             continue
-        pair = phases + since * phases + new
         was = protected[since, lane] + permitted[since, lane]
-        both = protected[pair, lane] + permitted[pair, lane]
-        value = fresh[lane] * both / was
+        kept = both[since, new, lane]
+        value = fresh[lane] * kept / was
         if was < 1.0:
-            value += (1.0 - fresh[lane]) * max(0.0, share - both) / (1.0 - was)
+            value += (1.0 - fresh[lane]) * max(0.0, share - kept) / (1.0 - was)
         fresh[lane] = min(1.0, value)

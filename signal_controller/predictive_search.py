@@ -65,6 +65,7 @@ def search(
         problem.is_known,
         np.concatenate([problem.protected, np.zeros_like(problem.protected[:1])]),
         np.concatenate([problem.permitted, np.zeros_like(problem.permitted[:1])]),
+        np.ascontiguousarray(problem.both),
         np.ascontiguousarray(problem.head),
         problem.inside,
         problem.headway_s,
@@ -242,6 +243,7 @@ def _search(
     is_known: Bools,
     protected: Floats,
     permitted: Floats,
+    both: Floats,
     head: Floats,
     inside0: Floats,
     headway_s: Floats,
@@ -356,7 +358,7 @@ def _search(
                                      phase, middle, green, come, protected, permitted,
                                      headway_s, foes, foe_shares, stop_price)  # fmt: skip
                         turn_head(queue[work], fresh[work], last_open[work], phase, after,
-                                   phases, protected, permitted, head)  # fmt: skip
+                                   protected, permitted, both, head)  # fmt: skip
                         for lane in range(lanes):
                             if protected[pair, lane] + permitted[pair, lane] <= 0.0:
                                 begin[work, lane] = step + change + lost_s[lane]

@@ -1,9 +1,10 @@
 """The signal cabinet: it accepts requests and shows only safe signal states.
 
 A change from one green to another runs through yellow and all-red, which nothing cuts short.
-Links that are green before and after it keep their green through it, as in real cabinets; so
-"all-red" holds for the links that lost their green. While a change runs its goal is kept: a
-request that arrives meanwhile waits until the new green has lasted its minimum.
+Links that are green before and after it keep their green through it, as in real cabinets, unless
+they are to yield from then on (`Signal.stopped`); so "all-red" holds for the links that lost their
+green. While a change runs its goal is kept: a request that arrives meanwhile waits until the new
+green has lasted its minimum.
 """
 
 from __future__ import annotations
@@ -113,9 +114,9 @@ class SignalCabinet:
 
     def _leave_stage(self, wanted: str) -> None:
         if self._stage == "green":
-            losing = [a in "Gg" and b not in "Gg" for a, b in zip(self._state, wanted, strict=True)]
-            self._stage = "yellow" if any(losing) else "green"
-            self._state = self._over(losing, "y") if any(losing) else wanted
+            stopped = self._signal.stopped(self._state, wanted)
+            self._stage = "yellow" if any(stopped) else "green"
+            self._state = _yellow(self._state, stopped) if any(stopped) else wanted
             self._green, self._green_source = wanted, self._source
         elif self._stage == "yellow":
             self._stage = "all_red"
@@ -125,9 +126,6 @@ class SignalCabinet:
                 self._green, self._green_source = wanted, self._source
             self._stage = "green"
             self._state = self._green
-
-    def _over(self, where: list[bool], colour: str) -> str:
-        return "".join(colour if hit else old for hit, old in zip(where, self._state, strict=True))
 
     def _wanted(self, now_ns: int) -> tuple[str, str]:
         request = self._request
@@ -177,6 +175,10 @@ def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
     return shown
 
 
+def _yellow(state: str, stopped: list[bool]) -> str:
+    return "".join("y" if hit else old for hit, old in zip(stopped, state, strict=True))
+
+
 def _ns(seconds: float) -> int:
     return round(seconds * 1e9)
 
@@ -208,9 +210,7 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
         )
     intervals = []
     for green, after in zip(greens, greens[1:] + greens[:1], strict=True):
-        losing = "".join(
-            "y" if a in "Gg" and b not in "Gg" else a for a, b in zip(green, after, strict=True)
-        )
+        losing = _yellow(green, signal.stopped(green, after))
         intervals.append(Interval(green, config.min_green_s, config.max_green_s))
         intervals.append(Interval(losing, config.yellow_s, config.yellow_s))
         if config.all_red_s:

@@ -64,9 +64,8 @@ def webster_signal(
     plan = []
     for green, after, ratio in zip(greens, greens[1:] + greens[:1], ratios, strict=True):
         green_s = max(times.min_green_s, for_green_s * ratio / total)
-        losing = "".join(
-            "y" if a in "Gg" and b not in "Gg" else a for a, b in zip(green, after, strict=True)
-        )
+        stopped = signal.stopped(green, after)
+        losing = "".join("y" if hit else old for hit, old in zip(stopped, green, strict=True))
         plan.append(PlanPhase(duration_s=round(green_s), state=green))
         if (
             "y" in losing

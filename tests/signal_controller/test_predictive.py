@@ -66,6 +66,7 @@ def two_lanes(waiting: float, coming: float, ahead: int = 40) -> Problem:
         is_known=np.zeros(2, bool),
         protected=rows,
         permitted=np.zeros_like(rows),
+        both=rows[:2, None] * rows[None, :2],
         head=rows[:2],
         inside=np.zeros(2),
         headway_s=np.full(2, 2.0),
@@ -90,7 +91,7 @@ def longest_queues(main_lanes: int, main_per_s: float, side_per_s: float) -> tup
     """
 
     def on_lanes(rows: np.ndarray) -> np.ndarray:
-        return np.concatenate([np.repeat(rows[:, :1], main_lanes, axis=1), rows[:, 1:]], axis=1)
+        return np.concatenate([np.repeat(rows[..., :1], main_lanes, axis=-1), rows[..., 1:]], -1)
 
     rates_per_s = np.array([main_per_s] * main_lanes + [side_per_s])
     queues, most = np.zeros(main_lanes + 1), np.zeros(main_lanes + 1)
@@ -113,6 +114,7 @@ def longest_queues(main_lanes: int, main_per_s: float, side_per_s: float) -> tup
             is_known=np.zeros(lanes, bool),
             protected=on_lanes(base.protected),
             permitted=np.zeros((7, lanes)),
+            both=on_lanes(base.both),
             head=on_lanes(base.head),
             inside=np.zeros(lanes),
             headway_s=np.full(lanes, 2.0),
@@ -223,6 +225,7 @@ def yielding(opposing: float, foe_share: float, inside: float = 0.0) -> Problem:
         problem,
         protected=protected,
         permitted=permitted,
+        both=(protected + permitted)[:2, None] * (protected + permitted)[None, :2],
         head=(protected + permitted)[:2],
         begin=np.array([-60.0, -60.0]),
         inside=np.array([inside, 0.0]),

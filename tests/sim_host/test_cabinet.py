@@ -72,13 +72,29 @@ def test_without_a_minimum_a_green_may_end_at_the_next_moment() -> None:
     assert [cabinet.advance(now_ns) for now_ns in (S, S + 1)] == ["Gr", "yr"]
 
 
+TURN = Signal(tls="J", links=[], conflicts=[(0, 1)], plan=plan("Gr", "gG", "rG", "gr"))
+
+
 def test_a_change_that_stops_nobody_is_made_at_once() -> None:
-    cabinet = green_cabinet(
-        Signal(tls="J", links=[], conflicts=[(0, 1)], plan=plan("Gr", "gG")), "Gr"
-    )
+    cabinet = green_cabinet(TURN, "gG")
+    assert cabinet.request(wanted("rG", 10 * S + 1), 10 * S + 1) is None
+    assert cabinet.advance(10 * S + 1) == "yG"
+    cabinet = green_cabinet(TURN, "rG")
     assert cabinet.request(wanted("gG", 10 * S + 1), 10 * S + 1) is None
     assert cabinet.advance(10 * S + 1) == "gG"
     assert cabinet.spat(0, 10 * S + 1).stage == "green"
+
+
+def test_a_turn_is_stopped_before_it_has_to_yield_to_those_who_start() -> None:
+    cabinet = green_cabinet(TURN, "Gr")
+    assert cabinet.request(wanted("gG", 10 * S + 1), 10 * S + 1) is None
+    assert [cabinet.advance(s * S + 1) for s in (10, 14, 15)] == ["yr", "rr", "gG"]
+
+
+def test_who_yields_to_nobody_that_starts_goes_on() -> None:
+    cabinet = green_cabinet(TURN, "Gr")
+    assert cabinet.request(wanted("gr", 10 * S + 1), 10 * S + 1) is None
+    assert cabinet.advance(10 * S + 1) == "gr"
 
 
 def test_the_plan_changes_at_its_own_times() -> None:
@@ -207,6 +223,7 @@ def test_no_requests_whatever_make_it_unsafe(
         check_times(link, history, config)
     for pair in signal.conflicts:
         check_clearance(pair, history, config)
+        check_right_of_way(pair, history, config)
 
 
 def check_no_conflict(signal: Signal, shown: list[str]) -> None:
@@ -230,6 +247,17 @@ def check_times(link: int, history: list[tuple[int, str]], config: CabinetConfig
             if now_ns != since_ns:
                 assert now_ns - since_ns >= least_ns[stage]
             stage, since_ns = colour, now_ns
+
+
+def check_right_of_way(
+    pair: tuple[int, int], history: list[tuple[int, str]], config: CabinetConfig
+) -> None:
+    """Nobody who had right of way yields to who starts without having been stopped."""
+    for one, other in (pair, pair[::-1]):
+        for (before_ns, before), (now_ns, after) in pairwise(history):
+            has_to_yield = before[one] + after[one] == "Gg"
+            if has_to_yield and before[other] != after[other] and after[other] in "Gg":
+                assert now_ns - before_ns >= (config.yellow_s + config.all_red_s) * S
 
 
 def check_clearance(
