@@ -275,7 +275,11 @@ class PredictivePlanner:
         )
 
     def add_unseen(self, result: Floats) -> None:
-        """Adds to arrivals (L, T) those of vehicles that are not known one by one."""
+        """Adds to arrivals (L, T) those of vehicles that are not known one by one.
+
+        Those that queue where nothing is seen stand at the stop bar; where a queue may be longer
+        than what is seen, they are at the end of that.
+        """
         model, memory, steps = self.model, self.memory, result.shape[1]
         queues = self.queues
         counted_per_s = memory.arrivals_per_s
@@ -285,7 +289,8 @@ class PredictivePlanner:
         )
         at_s = np.arange(steps)[None, :] * STEP_S
         seen_s = np.where(queues.is_seen, queues.coverage, 0.0) * model.reach_s
-        result[:, 0] += np.maximum(0.0, queues.expected() - queues.queued())
+        ends = np.minimum(np.ceil(seen_s / STEP_S), steps - 1).astype(np.int64)
+        result[np.arange(len(ends)), ends] += np.maximum(0.0, queues.expected() - queues.queued())
         is_beyond = at_s >= model.reach_s[:, None]
         unknown_per_s = np.where(is_beyond, inflow_per_s[:, None], unreported_per_s[:, None])
         result += (at_s >= seen_s[:, None]) * unknown_per_s * STEP_S

@@ -317,6 +317,26 @@ def test_a_vehicle_of_unknown_speed_is_taken_to_pass_as_one_that_is_as_fast_as_a
         assert (asked == EW) is ends
 
 
+def test_a_queue_that_may_be_longer_than_what_is_seen_goes_on_at_its_end() -> None:
+    # At the stop bar, a single box at the end would keep its green for as long as it is there.
+    planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=500))
+    seen_share, lane_index = 0.6, LANES.index("n_0")
+    away_m = seen_share * planner.model.reach_m[lane_index] - 5.0
+    at_its_end = vehicles(("n_0", away_m, 0.0))
+    for second in range(20):
+        planner.request(
+            60.0 + second,
+            at_its_end,
+            green(NS, (60 + second) * S),
+            dict.fromkeys(LANES, 1.0) | {"n_0": seen_share},
+        )
+    assert planner.queues.expected()[lane_index] > 1.2
+    come = planner.arrivals(planner.expected(at_its_end))[lane_index]
+    seen_s = seen_share * planner.model.reach_s[lane_index]
+    assert come[: math.floor(seen_s)].sum() == 0.0
+    assert come[: math.ceil(seen_s) + 5].sum() > 1.2
+
+
 @pytest.mark.parametrize(("reach_m", "coverage"), [(50.0, 0.26), (12.0, 1.0)])
 def test_where_little_is_seen_before_the_stop_bar_those_who_wait_are_not_put_off(
     reach_m: float, coverage: float
