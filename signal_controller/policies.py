@@ -26,6 +26,8 @@ from signal_controller.queue_estimator import (
 from signal_controller.speed_advice import SpeedAdviser
 
 Unseen = Literal["alike", "empty"]
+MAX_WAIT_S = 60.0
+"""For which a decision may have its state wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class Decision:
 
     `policy` is the one that decided; `unknown` are lanes whose vehicles were estimated, not
     counted. `advice` has speeds in m/s by agent, None where earlier advice ends; see
-    `speed_advice`.
+    `speed_advice`. The state is to be shown in `wait_s`, and what was requested before until then.
     """
 
     state: str
@@ -42,6 +44,7 @@ class Decision:
     policy: str
     unknown: tuple[str, ...] = ()
     advice: Mapping[str, float | None] = field(default_factory=dict)
+    wait_s: float = 0.0
 
 
 def max_pressure(
@@ -247,7 +250,7 @@ class Predictive:
         )
         if self.planner.queues.blind_s >= self._timeout_s:
             return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)
-        return Decision(state, [], "predictive", unknown)
+        return Decision(state, [], "predictive", unknown, wait_s=self.planner.wait_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,4 +280,6 @@ class _CheckedPolicy:
             raise self.plugin.wrong(
                 f"decided {decision.state!r:.80}, must be a G, g or r for each of {links} links"
             )
+        if not 0 <= decision.wait_s <= MAX_WAIT_S:
+            raise self.plugin.wrong(f"waits {decision.wait_s!r:.80} s, must be 0 to {MAX_WAIT_S}")
         return decision

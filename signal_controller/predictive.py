@@ -7,8 +7,10 @@ and durations of least cost, and the first of them is requested. In the spirit o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 
@@ -32,6 +34,8 @@ MAX_VEHICLES = 1000
 """Vehicles that one decision considers: the nearest."""
 _YELLOW_S = YELLOW_USED_STEPS * STEP_S  # a lane seen for less cannot tell which vehicles pass
 _SOON_STEPS = 10  # a change that is planned within these is tried immediately, see `_planned`
+_BETWEEN_S, _LONGEST_S = 0.5, 2.0  # between frames plans are made so often, for so long at most
+_SOON_AFTER_S = 1.5  # a change that is planned so long after may be better before
 _NO_WORSE = 1.02  # costs that differ by less are equal: the end of the horizon changes them as much
 
 
@@ -54,6 +58,19 @@ class ExpectedVehicles:
     speeds_mps: Floats
     arrival_s: Floats
     shares: Floats
+
+    def after(self, wait_s: float) -> Self:
+        """Returns those that are still before the stop bars then, if all keep their speeds."""
+        distances_m = self.distances_m - wait_s * self.speeds_mps
+        left = np.flatnonzero((distances_m > 0.0) | (self.speeds_mps <= 0.0))
+        return type(self)(
+            rows=[self.rows[n] for n in left],
+            lanes=[self.lanes[n] for n in left],
+            distances_m=distances_m[left],
+            speeds_mps=self.speeds_mps[left],
+            arrival_s=np.maximum(0.0, self.arrival_s[left] - wait_s),
+            shares=self.shares[left],
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +104,11 @@ class PredictivePlanner:
         self.memory = TrafficMemory(self.model, settings.inflow_vph, settings.saturation_vph)
         self.queues = QueueFilter(self.model, settings.inflow_vph, settings.saturation_vph)
         self.plan: Plan | None = None
-        self.planned_s = 0.0
+        self.planned_s = self.wait_s = 0.0
         self.vehicles = LaneVehicles([], np.zeros(0), np.zeros(0), np.zeros(0), [])
         self._association = VehicleAssociation()
         self._green_since_s: tuple[str, float] = "", 0.0
+        self._time_s = math.inf
         self._compile()
 
     def request(
@@ -100,7 +118,7 @@ class PredictivePlanner:
         shown: SignalState,
         coverage: Mapping[str, float],
     ) -> str:
-        """Returns the green to request, and keeps the `plan` that it belongs to.
+        """Returns the green to request, in `wait_s`, and keeps the `plan` that it belongs to.
 
         Args:
             time_s: of the vehicles and of what is shown.
@@ -111,6 +129,8 @@ class PredictivePlanner:
         """
         vehicles = self.vehicles = self._association.take(time_s, self._nearest(vehicles))
         model, memory = self.model, self.memory
+        interval_s = min(max(0.0, time_s - self._time_s), _LONGEST_S)
+        self._time_s, self.wait_s = time_s, 0.0
         unseen = uncovered_lanes(model.lanes, coverage) if coverage else model.lanes
         memory.take(time_s, vehicles, shown.state, unseen)
         open_shares = memory.open_shares(shown.state)
@@ -134,6 +154,8 @@ class PredictivePlanner:
         self.plan = self._planned(problem, forced)
         if forced is not None:
             return model.phases[forced]
+        if problem.is_known.all():
+            self._plan_between(time_s, interval_s, expected, phase)
         after = [planned for planned, step in self.plan.phases if step == 0]
         return model.phases[after[-1]]
 
@@ -154,6 +176,27 @@ class PredictivePlanner:
         at_once = search(problem, prices, max_nodes, phase)
         best = at_once if at_once.cost <= _NO_WORSE * plan.cost else plan
         return replace(best, nodes=plan.nodes + at_once.nodes)
+
+    def _plan_between(
+        self, time_s: float, interval_s: float, expected: ExpectedVehicles, phase: int
+    ) -> None:
+        """Plans for times before the next frame, and keeps the first plan that changes at once.
+
+        That frame is taken to come after as long as this one, with all vehicles as fast as now.
+        """
+        assert self.plan is not None
+        changes_s = min((step * STEP_S for _, step in self.plan.phases[1:]), default=math.inf)
+        for wait_s in np.arange(_BETWEEN_S, interval_s - 1e-6, _BETWEEN_S).tolist():
+            if not 0.0 < changes_s <= wait_s + _SOON_AFTER_S:
+                continue
+            later = expected.after(wait_s)
+            problem = self.problem(
+                time_s + wait_s, self.arrivals(later), phase, self.passing(later)
+            )
+            plan = self._planned(problem, None)
+            if plan.phases[1:] and plan.phases[1][1] == 0:
+                self.plan, self.planned_s, self.wait_s = plan, time_s + wait_s, wait_s
+                return
 
     def _compile(self) -> None:
         """Searches once, so that no decision waits for the compiler."""

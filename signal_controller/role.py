@@ -236,6 +236,7 @@ class SignalRole:
             pressures=decision.pressures,
             unknown=list(decision.unknown),
             advised=len(decision.advice) if self._advises else 0,
+            not_before_ns=counts.sim_time_ns + round(decision.wait_s * 1e9),
             delay_sim_ns=counts.delay_sim_ns,
         )
         if self._advises:

@@ -63,6 +63,7 @@ class SignalCabinet:
         self._stale_ns = _ns(config.stale_after_s)
         self.refusals: Counter[str] = Counter()
         self._request: SignalRequest | None = None
+        self._held: tuple[str, str] | None = None  # what is wanted until the request begins
         self._stage = "all_red"
         self._since_ns: int | None = None
         self._state = self._green = "r" * self._size
@@ -71,10 +72,12 @@ class SignalCabinet:
     def request(self, request: SignalRequest, now_ns: int) -> str | None:
         """Accepts a request and returns None, or returns why it was refused.
 
-        A refused request changes nothing: the last accepted one holds until it is stale.
+        A refused request changes nothing: the last accepted one holds until it is stale. So does
+        an accepted one until the time from which it is to be shown.
         """
         reason = self.refuse(request, now_ns)
         if reason is None:
+            self._held = self._wanted(now_ns)
             self._request = request
         return reason
 
@@ -129,9 +132,11 @@ class SignalCabinet:
 
     def _wanted(self, now_ns: int) -> tuple[str, str]:
         request = self._request
-        if request is not None and now_ns - request.sim_time_ns <= self._stale_ns:
-            return request.state, request.policy
-        return self._signal.planned_green(now_ns / 1e9), PLAN
+        if request is None or now_ns - request.sim_time_ns > self._stale_ns:
+            return self._signal.planned_green(now_ns / 1e9), PLAN
+        if now_ns < request.not_before_ns and self._held is not None:
+            return self._held
+        return request.state, request.policy
 
     def _refusal(self, request: SignalRequest, now_ns: int) -> str | None:
         # Age counts in simulated time, not in frames: a forged frame number must not lock others

@@ -244,6 +244,7 @@ class _Controller:
                 tls=self.tls,
                 state=decision.state,
                 policy=decision.policy,
+                not_before_ns=now_ns + round(decision.wait_s * 1e9),
             ),
             now_ns,
         )

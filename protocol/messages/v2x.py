@@ -289,7 +289,8 @@ class SignalRequest(Message):
     """A policy's wish: the green state to show, one character per link.
 
     `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
-    plan. `unknown` are the lanes without sensor coverage, whose vehicles were estimated. `advised`
+    plan. Until `not_before_ns` what was requested before holds; at a time that has passed, nothing
+    does. `unknown` are the lanes without sensor coverage, whose vehicles were estimated. `advised`
     is how many vehicles get a `SpeedAdvice` in this frame, which may arrive before it or after it.
     """
 
@@ -302,6 +303,7 @@ class SignalRequest(Message):
     pressures: Annotated[list[float], *BOUNDED] = Field([])
     unknown: Annotated[list[NetId], *BOUNDED] = Field([])
     advised: int = Field(0, ge=0, le=MAX_ITEMS)
+    not_before_ns: TimeNs = 0
     delay_sim_ns: DelayNs | None = None
 
 

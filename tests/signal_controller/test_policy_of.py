@@ -54,6 +54,8 @@ class Wrong:
     def __init__(self, config, site):
         self.answer = config.plugin["answer"]
     def decide(self, seen):
+        if self.answer == "back in time":
+            return Decision("Gr", [], "wrong", wait_s=-1)
         return Decision(self.answer, [], "wrong") if self.answer else 7
 """
 
@@ -104,6 +106,7 @@ def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(
             "",
             r"^the signal policy wrong of more-policies 1\.0 decided a int, must decide a Deci",
         ),
+        ("back in time", r"waits -1 s, must be 0 to 60\.0$"),
         ("GrG", r"decided 'GrG', must be a G, g or r for each of 2 links$"),
         ("G", r"decided 'G', must be a G, g or r for each of 2 links$"),
         ("Gy", r"decided 'Gy', must be a G, g or r for each of 2 links$"),

@@ -309,6 +309,20 @@ def test_a_green_ends_as_soon_as_its_last_vehicle_can_stop_no_more(
     assert (asked == EW) is ends
 
 
+@pytest.mark.parametrize(("interval_s", "wait_s"), [(1.0, 0.5), (0.1, 0.0), (5.0, 0.5)])
+def test_a_green_that_should_end_before_the_next_frame_is_told_when(interval_s, wait_s) -> None:
+    planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))
+    seen_shares, before_s = dict.fromkeys(LANES, 1.0), 60.0 - interval_s
+    nobody = vehicles()
+    planner.request(before_s, nobody, green(NS, round(before_s * S)), seen_shares)
+    # It cannot stop any more once it is 20 m away, in a quarter of a second.
+    found = vehicles(("n_0", 24.0, 13.9), *queue("e_0", 2))
+    asked = planner.request(60.0, found, green(NS, 60 * S), seen_shares)
+    assert (asked, planner.wait_s) == (EW if wait_s else NS, wait_s)
+    planner.request(61.0, nobody, green(NS, 61 * S, 60 * S), seen_shares)
+    assert planner.wait_s == 0.0
+
+
 def test_a_vehicle_of_unknown_speed_is_taken_to_pass_as_one_that_is_as_fast_as_allowed() -> None:
     for away_m, ends in ((20.0, True), (21.0, False)):
         planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))

@@ -24,8 +24,17 @@ YIELD = Signal(
 )
 
 
-def wanted(state: str, now_ns: int, tls: str = "J", policy: str = "test") -> SignalRequest:
-    return SignalRequest(frame=0, sim_time_ns=now_ns, tls=tls, state=state, policy=policy)
+def wanted(
+    state: str, now_ns: int, tls: str = "J", policy: str = "test", not_before_ns: int = 0
+) -> SignalRequest:
+    return SignalRequest(
+        frame=0,
+        sim_time_ns=now_ns,
+        tls=tls,
+        state=state,
+        policy=policy,
+        not_before_ns=not_before_ns,
+    )
 
 
 def green_cabinet(signal: Signal, state: str) -> SignalCabinet:
@@ -45,6 +54,30 @@ def test_a_change_runs_through_yellow_and_all_red() -> None:
         assert cabinet.request(wanted("rG", second * S + 1), second * S + 1) is None
         shown.append(cabinet.advance(second * S + 1))
     assert shown == ["yr"] * 4 + ["rr"] + ["rG"] * 3
+
+
+def test_until_a_request_begins_what_was_wanted_before_is_shown() -> None:
+    cabinet = green_cabinet(TWO, "Gr")
+    later_ns = 10 * S + S // 2
+    assert cabinet.request(wanted("rG", 10 * S + 1, not_before_ns=later_ns), 10 * S + 1) is None
+    shown = [cabinet.advance(now_ns) for now_ns in (10 * S + 1, later_ns - 1, later_ns)]
+    assert shown == ["Gr", "Gr", "yr"]
+
+
+def test_another_request_replaces_one_that_has_not_begun() -> None:
+    cabinet = green_cabinet(TWO, "Gr")
+    cabinet.request(wanted("rG", 10 * S + 1, not_before_ns=12 * S), 10 * S + 1)
+    cabinet.request(wanted("Gr", 11 * S), 11 * S)
+    assert [cabinet.advance(second * S) for second in (11, 12, 13)] == ["Gr"] * 3
+
+
+def test_a_request_that_never_begins_is_stale_in_time() -> None:
+    cabinet, stale_ns = green_cabinet(TWO, "rG"), round(CONFIG.stale_after_s * S)
+    cabinet.request(wanted("Gr", 10 * S + 1, not_before_ns=10**6 * S), 10 * S + 1)
+    assert cabinet.advance(10 * S + 1 + stale_ns) == "rG"
+    assert cabinet.spat(0, 10 * S + 1 + stale_ns).source == "test"
+    cabinet.advance(10 * S + 2 + stale_ns)
+    assert cabinet.spat(0, 10 * S + 2 + stale_ns).source == "plan"
 
 
 def test_a_green_lasts_its_minimum() -> None:
@@ -216,7 +249,8 @@ def test_no_requests_whatever_make_it_unsafe(
         now_ns += tenths * S // 10
         state = asked if asked is None or "y" in asked else data.draw(greens | st.just(asked))
         if state is not None:
-            cabinet.request(wanted(state, now_ns), now_ns)
+            later_ns = now_ns + data.draw(st.sampled_from([0, 0, S // 2, 5 * S]))
+            cabinet.request(wanted(state, now_ns, not_before_ns=later_ns), now_ns)
         history.append((now_ns, cabinet.advance(now_ns)))
     check_no_conflict(signal, [state for _, state in history])
     for link in range(len(signal.plan[0].state)):
