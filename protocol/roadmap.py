@@ -90,6 +90,18 @@ class PlanPhase(_Part):
         return any(c in "Gg" for c in self.state) and "y" not in self.state
 
 
+def yellow_between(before: str, after: str) -> str:
+    """Returns what is yellow between two greens, `before` itself if their change stops nobody.
+
+    Stopped are links that lose their green, and those that had right of way (`G`) and are to yield
+    (`g`): whoever drives must not meet traffic that starts.
+    """
+    return "".join(
+        "y" if (a in "Gg" and b not in "Gg") or a + b == "Gg" else a
+        for a, b in zip(before, after, strict=True)
+    )
+
+
 class Signal(_Part):
     """A signal: its links, which of them conflict, and the plan that its net brings.
 
@@ -113,34 +125,6 @@ class Signal(_Part):
     def greens(self) -> list[str]:
         """The phases of the policies: those of the plan first."""
         return [*self.planned_greens, *self.further_greens]
-
-    @cached_property
-    def foes(self) -> dict[int, set[int]]:
-        """The links that conflict with each link."""
-        found: dict[int, set[int]] = {n: set() for n in range(len(self.plan[0].state))}
-        for a, b in self.conflicts:
-            found[a].add(b)
-            found[b].add(a)
-        return found
-
-    def stopped(self, before: str, after: str) -> list[bool]:
-        """Returns for each link whether a change between two greens stops it, by yellow and red.
-
-        Stopped are links that lose their green, and those that had right of way (`G`) and are to
-        yield (`g`) to a link that gets other rights: whoever drives then must not meet it.
-        """
-        changed = [a != b for a, b in zip(before, after, strict=True)]
-        return [
-            a in "Gg"
-            and (
-                b not in "Gg"
-                or (
-                    a + b == "Gg"
-                    and any(changed[foe] and after[foe] in "Gg" for foe in self.foes[link])
-                )
-            )
-            for link, (a, b) in enumerate(zip(before, after, strict=True))
-        ]
 
     def planned_green(self, time_s: float) -> str:
         """Returns the plan's green at a time; within yellow or all-red, the green that follows."""

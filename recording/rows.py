@@ -116,6 +116,7 @@ def request_row(message: SignalRequest) -> RequestRow:
         pressures=json.dumps(message.pressures),
         delay_sim_ns=message.delay_sim_ns,
         unknown=" ".join(message.unknown),
+        wait_sim_ns=max(0, message.not_before_ns - message.sim_time_ns),
     )
 
 

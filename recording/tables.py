@@ -25,10 +25,14 @@ SCHEMA_DIGESTS = {
     16: "3204b3eff040081d",
     17: "4f9c9e478ecb37fc",
     18: "1044b8d0f8008482",
+    19: "0b0c4e83d27cec80",
 }
 """`schema_digest()` by schema version. Never change an entry: add one with the next number."""
 SCHEMA_VERSION = max(SCHEMA_DIGESTS)
-ADDED: dict[int, dict[str, tuple[str, ...]]] = {18: {"trips": ("stops", "co2_g")}}
+ADDED: dict[int, dict[str, tuple[str, ...]]] = {
+    18: {"trips": ("stops", "co2_g")},
+    19: {"requests": ("wait_sim_ns",)},
+}
 """Columns at the end of tables, by the schema version that added them: in runs of older versions,
 down to the one before the first of these, they are read as NULL."""
 _SQL_TYPES = {int: "INTEGER", float: "REAL", str: "TEXT", bytes: "BLOB"}
@@ -212,6 +216,7 @@ class RequestRow(NamedTuple):
 
     `delay_sim_ns`, with virtual links: how long after the frame's time it reached the cabinet.
     `unknown`: lanes without coverage, whose vehicles were estimated, separated by spaces.
+    `wait_sim_ns`: for how long after the frame's time what was requested before holds.
     """
 
     frame: int
@@ -221,6 +226,7 @@ class RequestRow(NamedTuple):
     pressures: str
     delay_sim_ns: int | None
     unknown: str
+    wait_sim_ns: int | None
 
 
 class TruthRow(NamedTuple):

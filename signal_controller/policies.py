@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
-from protocol.messages import LaneCounts, SignalState
+from protocol.messages import LaneCounts, SignalRequest, SignalState
 from protocol.plugins import Plugin
 from protocol.roadmap import Signal
 from signal_controller.config import POLICIES, SignalConfig
@@ -27,7 +27,7 @@ from signal_controller.speed_advice import SpeedAdviser
 
 Unseen = Literal["alike", "empty"]
 MAX_WAIT_S = 60.0
-"""For which a decision may have its state wait."""
+"""The longest `wait_s` of a decision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,8 @@ class Decision:
 
     `policy` is the one that decided; `unknown` are lanes whose vehicles were estimated, not
     counted. `advice` has speeds in m/s by agent, None where earlier advice ends; see
-    `speed_advice`. The state is to be shown in `wait_s`, and what was requested before until then.
+    `speed_advice`. The state is to be shown in `wait_s`, and what was requested before until then;
+    the next decision replaces one that has not begun.
     """
 
     state: str
@@ -45,6 +46,29 @@ class Decision:
     unknown: tuple[str, ...] = ()
     advice: Mapping[str, float | None] = field(default_factory=dict)
     wait_s: float = 0.0
+
+    def request(
+        self,
+        tls: str,
+        frame: int,
+        sim_time_ns: int,
+        *,
+        advised: int = 0,
+        delay_sim_ns: int | None = None,
+    ) -> SignalRequest:
+        """Returns the request to a signal's cabinet, for a frame at this simulated time."""
+        return SignalRequest(
+            frame=frame,
+            sim_time_ns=sim_time_ns,
+            tls=tls,
+            state=self.state,
+            policy=self.policy,
+            pressures=self.pressures,
+            unknown=list(self.unknown),
+            advised=advised,
+            not_before_ns=sim_time_ns + round(self.wait_s * 1e9),
+            delay_sim_ns=delay_sim_ns,
+        )
 
 
 def max_pressure(
@@ -280,6 +304,7 @@ class _CheckedPolicy:
             raise self.plugin.wrong(
                 f"decided {decision.state!r:.80}, must be a G, g or r for each of {links} links"
             )
-        if not 0 <= decision.wait_s <= MAX_WAIT_S:
+        wait_s: object = decision.wait_s
+        if not isinstance(wait_s, int | float) or not 0 <= wait_s <= MAX_WAIT_S:
             raise self.plugin.wrong(f"waits {decision.wait_s!r:.80} s, must be 0 to {MAX_WAIT_S}")
         return decision

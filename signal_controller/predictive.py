@@ -22,6 +22,7 @@ from signal_controller.predictive_model import (
     PROTECTED,
     RED,
     STEP_S,
+    Bools,
     Floats,
     JunctionModel,
 )
@@ -34,9 +35,9 @@ MAX_VEHICLES = 1000
 """Vehicles that one decision considers: the nearest."""
 _YELLOW_S = YELLOW_USED_STEPS * STEP_S  # a lane seen for less cannot tell which vehicles pass
 _SOON_STEPS = 10  # a change that is planned within these is tried immediately, see `_planned`
-_BETWEEN_S, _LONGEST_S = 0.5, 2.0  # between frames plans are made so often, for so long at most
+_BETWEEN_S, _LONGEST_S = 0.5, 2.0  # between frames plans are made so often, so far ahead at most
 _SOON_AFTER_S = 1.5  # a change that is planned so long after may be better before
-_NO_WORSE = 1.02  # costs that differ by less are equal: the end of the horizon changes them as much
+_AT_ONCE_TOLERANCE = 0.02  # of a plan's cost: the end of the horizon changes it by as much
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,10 +60,14 @@ class ExpectedVehicles:
     arrival_s: Floats
     shares: Floats
 
-    def after(self, wait_s: float) -> Self:
-        """Returns those that are still before the stop bars then, if all keep their speeds."""
+    def after(self, wait_s: float, is_open: Bools) -> Self:
+        """Returns those that are still before the stop bars then, if all keep their speeds.
+
+        Only at lanes (L,) that are open may they have passed.
+        """
         distances_m = self.distances_m - wait_s * self.speeds_mps
-        left = np.flatnonzero((distances_m > 0.0) | (self.speeds_mps <= 0.0))
+        passed = (distances_m <= 0.0) & (self.distances_m > 0.0) & (self.shares @ is_open > 0.5)
+        left = np.flatnonzero(~passed)
         return type(self)(
             rows=[self.rows[n] for n in left],
             lanes=[self.lanes[n] for n in left],
@@ -79,7 +84,7 @@ class PlannerSettings:
 
     Attributes:
         horizon_s: how far a plan reaches.
-        max_nodes: partial plans that a search may extend; a decision takes one or two of them.
+        max_nodes: partial plans that a search may extend; a decision takes one to four of them.
         max_red_s: after which a movement for which somebody waits comes next.
         pedestrian_green_s: the least green of a phase in which people walk.
         inflow_vph: expected on each lane as long as nothing was learnt.
@@ -96,7 +101,10 @@ class PlannerSettings:
 
 
 class PredictivePlanner:
-    """Plans for one signal; learns from frame to frame. See the module."""
+    """Plans for one signal; learns from frame to frame. See the module.
+
+    What is requested is to be shown in `wait_s`, from `planned_s` on, and begins the `plan`.
+    """
 
     def __init__(self, site: SignalSite, settings: PlannerSettings) -> None:
         self._settings = settings
@@ -118,7 +126,7 @@ class PredictivePlanner:
         shown: SignalState,
         coverage: Mapping[str, float],
     ) -> str:
-        """Returns the green to request, in `wait_s`, and keeps the `plan` that it belongs to.
+        """Returns the green to request; sets `wait_s`, and the `plan` that it belongs to.
 
         Args:
             time_s: of the vehicles and of what is shown.
@@ -155,7 +163,7 @@ class PredictivePlanner:
         if forced is not None:
             return model.phases[forced]
         if problem.is_known.all():
-            self._plan_between(time_s, interval_s, expected, phase)
+            self._plan_between(time_s, interval_s, expected, problem)
         after = [planned for planned, step in self.plan.phases if step == 0]
         return model.phases[after[-1]]
 
@@ -164,7 +172,8 @@ class PredictivePlanner:
 
         Where vehicles are not known one by one, arrivals are equally likely at any time, and a
         change that is planned soon could be postponed again and again. So an immediate change is
-        tested separately, and chosen if it is no worse: the search keeps few of the plans that do.
+        tested separately, and chosen if it is hardly worse: the search keeps few of the plans that
+        do.
         """
         prices, max_nodes = self._settings.prices, self._settings.max_nodes
         plan = search(problem, prices, max_nodes, forced)
@@ -174,29 +183,36 @@ class PredictivePlanner:
         if not 0 < step <= _SOON_STEPS:
             return plan
         at_once = search(problem, prices, max_nodes, phase)
-        best = at_once if at_once.cost <= _NO_WORSE * plan.cost else plan
+        best = at_once if at_once.cost <= (1 + _AT_ONCE_TOLERANCE) * plan.cost else plan
         return replace(best, nodes=plan.nodes + at_once.nodes)
 
     def _plan_between(
-        self, time_s: float, interval_s: float, expected: ExpectedVehicles, phase: int
+        self, time_s: float, interval_s: float, expected: ExpectedVehicles, now: Problem
     ) -> None:
         """Plans for times before the next frame, and keeps the first plan that changes at once.
 
-        That frame is taken to come after as long as this one, with all vehicles as fast as now.
+        That frame is taken to come after as long as this one, with all vehicles as fast as now;
+        `now` is the problem of this one.
         """
         assert self.plan is not None
-        changes_s = min((step * STEP_S for _, step in self.plan.phases[1:]), default=math.inf)
+        if not self.plan.phases[1:] or self.plan.phases[1][1] == 0:
+            return
+        changes_s, nodes = self.plan.phases[1][1] * STEP_S, self.plan.nodes
+        is_open = now.protected[now.phase] + now.permitted[now.phase] > 0.0
         for wait_s in np.arange(_BETWEEN_S, interval_s - 1e-6, _BETWEEN_S).tolist():
-            if not 0.0 < changes_s <= wait_s + _SOON_AFTER_S:
+            if changes_s > wait_s + _SOON_AFTER_S:
                 continue
-            later = expected.after(wait_s)
+            later = expected.after(wait_s, is_open)
             problem = self.problem(
-                time_s + wait_s, self.arrivals(later), phase, self.passing(later)
+                time_s, self.arrivals(later), now.phase, self.passing(later), wait_s
             )
             plan = self._planned(problem, None)
+            nodes += plan.nodes
+            plan = replace(plan, nodes=nodes)
             if plan.phases[1:] and plan.phases[1][1] == 0:
                 self.plan, self.planned_s, self.wait_s = plan, time_s + wait_s, wait_s
                 return
+        self.plan = replace(self.plan, nodes=nodes)
 
     def _compile(self) -> None:
         """Searches once, so that no decision waits for the compiler."""
@@ -223,7 +239,12 @@ class PredictivePlanner:
         return phases[first:], now - first + 1
 
     def problem(
-        self, time_s: float, arrivals: Floats, phase: int, passing: Floats | None = None
+        self,
+        time_s: float,
+        arrivals: Floats,
+        phase: int,
+        passing: Floats | None = None,
+        wait_s: float = 0.0,
     ) -> Problem:
         """Returns the search problem at a time at which a phase is shown.
 
@@ -232,6 +253,7 @@ class PredictivePlanner:
             arrivals: see `arrivals`.
             phase: that is shown.
             passing: see `passing`; without it, nobody is taken to be too close to stop.
+            wait_s: from then until the plan begins.
         """
         model, memory = self.model, self.memory
         may = memory.shares * memory.has_room
@@ -239,7 +261,7 @@ class PredictivePlanner:
         since_s = memory.lane_green_since_s
         protected = np.where(status == PROTECTED, may, 0.0) @ model.lane_of
         permitted = np.where(status == PERMITTED, may, 0.0) @ model.lane_of
-        begin = np.where(np.isinf(since_s), 0.0, since_s - time_s) + memory.lost_s
+        begin = np.where(np.isinf(since_s), 0.0, since_s - time_s - wait_s) + memory.lost_s
         inside = memory.waiting_inside(time_s)
         has_right = protected[phase] / np.maximum(protected[phase] + permitted[phase], 1e-9)
         is_ready = self.queues.is_seen * has_right * (1.0 - inside)
@@ -255,7 +277,7 @@ class PredictivePlanner:
             inside=inside,
             headway_s=memory.headway_s,
             lost_s=memory.lost_s,
-            credit=is_ready * memory.credit(time_s, -begin),
+            credit=is_ready * memory.credit(time_s + wait_s, -begin),
             begin=begin,
             foes=model.foes,
             foe_shares=model.foe_shares(memory.shares),

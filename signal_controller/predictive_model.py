@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from protocol.approaches import Approaches
-from protocol.roadmap import RoadMap
-from signal_controller.observation import SignalSite
+from protocol.roadmap import RoadMap, yellow_between
+from signal_controller.observation import CabinetTimes, SignalSite
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -76,7 +76,7 @@ class JunctionModel:
         self._in_the_way = self._find_in_the_way()
         self.foes = self._foes()
         self.change_steps = np.array(
-            [[_change_steps(site, a, b) for b in self.phases] for a in self.phases]
+            [[_change_steps(a, b, site.cabinet) for b in self.phases] for a in self.phases]
         )
         self.min_green_steps = self._min_green_steps(pedestrian_green_s)
 
@@ -85,8 +85,8 @@ class JunctionModel:
         """Statuses (P + P * P + 1, M): of phases, of what stays green from p to q, of nothing."""
         kept = np.minimum(self.status[:, None], self.status[None, :])
         for p, q in np.ndindex(*kept.shape[:2]):
-            stopped = self.site.signal.stopped(self.phases[p], self.phases[q])
-            kept[p, q, [any(stopped[link] for link in m.links) for m in self.movements]] = RED
+            yellow = yellow_between(self.phases[p], self.phases[q])
+            kept[p, q, [any(yellow[link] == "y" for link in m.links) for m in self.movements]] = RED
         nothing = np.zeros((1, len(self.movements)), np.int64)
         return np.concatenate([self.status, kept.reshape(-1, len(self.movements)), nothing])
 
@@ -198,6 +198,6 @@ def _status(state: str, links: tuple[int, ...]) -> int:
     return PROTECTED if "G" in shown else PERMITTED if "g" in shown else RED
 
 
-def _change_steps(site: SignalSite, before: str, after: str) -> int:
-    change_s = site.cabinet.yellow_s + site.cabinet.all_red_s
-    return int(np.ceil(change_s / STEP_S)) if any(site.signal.stopped(before, after)) else 0
+def _change_steps(before: str, after: str, times: CabinetTimes) -> int:
+    change_s = times.yellow_s + times.all_red_s
+    return int(np.ceil(change_s / STEP_S)) if "y" in yellow_between(before, after) else 0

@@ -13,7 +13,6 @@ from protocol.messages import (
     Detections,
     LaneCounts,
     Metrics,
-    SignalRequest,
     SignalState,
     Span,
     SpeedAdvice,
@@ -227,16 +226,11 @@ class SignalRole:
         """Holds nothing of its own."""
 
     def _publish(self, tls: str, counts: LaneCounts, decision: Decision, start_ns: int) -> Span:
-        request = SignalRequest(
-            frame=counts.frame,
-            sim_time_ns=counts.sim_time_ns,
-            tls=tls,
-            state=decision.state,
-            policy=decision.policy,
-            pressures=decision.pressures,
-            unknown=list(decision.unknown),
+        request = decision.request(
+            tls,
+            counts.frame,
+            counts.sim_time_ns,
             advised=len(decision.advice) if self._advises else 0,
-            not_before_ns=counts.sim_time_ns + round(decision.wait_s * 1e9),
             delay_sim_ns=counts.delay_sim_ns,
         )
         if self._advises:

@@ -2,7 +2,7 @@
 
 A change from one green to another runs through yellow and all-red, which nothing cuts short.
 Links that are green before and after it keep their green through it, as in real cabinets, unless
-they are to yield from then on (`Signal.stopped`); so "all-red" holds for the links that lost their
+they are to yield from then on (`yellow_between`); so "all-red" holds for the links that lost their
 green. While a change runs its goal is kept: a request that arrives meanwhile waits until the new
 green has lasted its minimum.
 """
@@ -18,7 +18,7 @@ from typing import Protocol
 from protocol.errors import ConfigError
 from protocol.inbox import Envelope
 from protocol.messages import SignalRequest, SignalState
-from protocol.roadmap import Signal
+from protocol.roadmap import Signal, yellow_between
 from sim_host.config import CabinetConfig
 from sim_host.limits import MAX_PENDING_REQUESTS
 
@@ -63,7 +63,7 @@ class SignalCabinet:
         self._stale_ns = _ns(config.stale_after_s)
         self.refusals: Counter[str] = Counter()
         self._request: SignalRequest | None = None
-        self._held: tuple[str, str] | None = None  # what is wanted until the request begins
+        self._held: SignalRequest | None = None  # the last one that has begun, until this one does
         self._stage = "all_red"
         self._since_ns: int | None = None
         self._state = self._green = "r" * self._size
@@ -77,7 +77,8 @@ class SignalCabinet:
         """
         reason = self.refuse(request, now_ns)
         if reason is None:
-            self._held = self._wanted(now_ns)
+            if self._request is not None and self._request.not_before_ns <= now_ns:
+                self._held = self._request
             self._request = request
         return reason
 
@@ -117,9 +118,9 @@ class SignalCabinet:
 
     def _leave_stage(self, wanted: str) -> None:
         if self._stage == "green":
-            stopped = self._signal.stopped(self._state, wanted)
-            self._stage = "yellow" if any(stopped) else "green"
-            self._state = _yellow(self._state, stopped) if any(stopped) else wanted
+            yellow = yellow_between(self._state, wanted)
+            self._stage = "yellow" if "y" in yellow else "green"
+            self._state = yellow if "y" in yellow else wanted
             self._green, self._green_source = wanted, self._source
         elif self._stage == "yellow":
             self._stage = "all_red"
@@ -131,12 +132,13 @@ class SignalCabinet:
             self._state = self._green
 
     def _wanted(self, now_ns: int) -> tuple[str, str]:
-        request = self._request
-        if request is None or now_ns - request.sim_time_ns > self._stale_ns:
-            return self._signal.planned_green(now_ns / 1e9), PLAN
-        if now_ns < request.not_before_ns and self._held is not None:
-            return self._held
-        return request.state, request.policy
+        for request in (self._request, self._held):
+            if request is not None and self._holds(request, now_ns):
+                return request.state, request.policy
+        return self._signal.planned_green(now_ns / 1e9), PLAN
+
+    def _holds(self, request: SignalRequest, now_ns: int) -> bool:
+        return request.not_before_ns <= now_ns <= request.sim_time_ns + self._stale_ns
 
     def _refusal(self, request: SignalRequest, now_ns: int) -> str | None:
         # Age counts in simulated time, not in frames: a forged frame number must not lock others
@@ -149,6 +151,7 @@ class SignalCabinet:
             ("no_green", not set(request.state) & set("gG")),
             ("from_the_future", request.sim_time_ns > now_ns),
             ("stale", now_ns - request.sim_time_ns > self._stale_ns),
+            ("begins_too_late", request.not_before_ns - request.sim_time_ns > self._stale_ns),
             ("replayed", last is not None and request.sim_time_ns <= last.sim_time_ns),
         )
         failed = next((reason for reason, bad in checks if bad), None)
@@ -178,10 +181,6 @@ def _shown_together(signal: Signal) -> set[tuple[int, int, str, str]]:
             if one in "Gg" and other in "Gg":
                 shown |= {(a, b, x, y) for x in {one, "g"} for y in {other, "g"}}
     return shown
-
-
-def _yellow(state: str, stopped: list[bool]) -> str:
-    return "".join("y" if hit else old for hit, old in zip(stopped, state, strict=True))
 
 
 def _ns(seconds: float) -> int:
@@ -215,7 +214,7 @@ def programme(signal: Signal, config: CabinetConfig) -> list[Interval]:
         )
     intervals = []
     for green, after in zip(greens, greens[1:] + greens[:1], strict=True):
-        losing = _yellow(green, signal.stopped(green, after))
+        losing = yellow_between(green, after)
         intervals.append(Interval(green, config.min_green_s, config.max_green_s))
         intervals.append(Interval(losing, config.yellow_s, config.yellow_s))
         if config.all_red_s:

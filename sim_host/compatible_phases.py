@@ -58,7 +58,7 @@ def compatible_phases(signal: Signal, roads: RoadMap) -> list[str]:
     others = any(opened - {link.index for link in signal.links} for opened in shown)
     if others or room <= 0 or _is_passed_twice(signal, roads):
         return []
-    foes = signal.foes
+    foes = _foes(signal)
     groups = [
         group
         for group in _groups(signal, roads)
@@ -68,7 +68,7 @@ def compatible_phases(signal: Signal, roads: RoadMap) -> list[str]:
         group: {o for o in groups if o != group and not any(foes[link] & o for link in group)}
         for group in groups
     }
-    letters = {link: _letter(signal, link) for link in foes}
+    letters = {link: _letter(signal, link, foes) for link in foes}
     sets = islice(_maximal(set(groups), compatible), _MAX_SETS)
     size = len(signal.plan[0].state)
     found = dict.fromkeys(
@@ -108,15 +108,22 @@ def _groups(signal: Signal, roads: RoadMap) -> list[Group]:
     return [Group(links) for _, links in groups]
 
 
-def _letter(signal: Signal, link: int) -> str:
+def _foes(signal: Signal) -> dict[int, set[int]]:
+    foes: dict[int, set[int]] = {link.index: set() for link in signal.links}
+    for a, b in signal.conflicts:
+        foes.setdefault(a, set()).add(b)
+        foes.setdefault(b, set()).add(a)
+    return foes
+
+
+def _letter(signal: Signal, link: int, foes: Mapping[int, set[int]]) -> str:
     """Returns a link's letter where no foe is green: `g` if the plan has it yield to none of them.
 
     Then it yields to someone whom this signal does not stop.
     """
     shown = [green for green in signal.planned_greens if green[link] in "Gg"]
     to_others = any(
-        green[link] == "g" and not any(green[foe] in "Gg" for foe in signal.foes[link])
-        for green in shown
+        green[link] == "g" and not any(green[foe] in "Gg" for foe in foes[link]) for green in shown
     )
     return "g" if to_others and not any(green[link] == "G" for green in shown) else "G"
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from protocol.approaches import Approaches
-from protocol.roadmap import PlanPhase, RoadMap, Signal
+from protocol.roadmap import PlanPhase, RoadMap, Signal, yellow_between
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import (
     Decision,
@@ -64,12 +64,9 @@ def webster_signal(
     plan = []
     for green, after, ratio in zip(greens, greens[1:] + greens[:1], ratios, strict=True):
         green_s = max(times.min_green_s, for_green_s * ratio / total)
-        stopped = signal.stopped(green, after)
-        losing = "".join("y" if hit else old for hit, old in zip(stopped, green, strict=True))
+        losing = yellow_between(green, after)
         plan.append(PlanPhase(duration_s=round(green_s), state=green))
-        if (
-            "y" in losing
-        ):  # yellow and all-red in one: what stays green in it is no green to request
+        if "y" in losing:  # and all-red in one: what stays green in it is no green to request
             plan.append(PlanPhase(duration_s=change_s, state=losing))
     return signal.model_copy(update={"plan": plan, "further_greens": []})
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from protocol.approaches import Approaches
 from protocol.errors import ConfigError
-from protocol.messages import LaneCounts, SignalRequest
+from protocol.messages import LaneCounts
 from protocol.roadmap import RoadMap, Signal
 from signal_controller.config import SignalConfig
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
@@ -237,17 +237,7 @@ class _Controller:
         start_ns = time.monotonic_ns()
         decision = self._policy.decide(Observation(counts, shown, truth.vehicles))
         taken_ns = time.monotonic_ns() - start_ns
-        self.cabinet.request(
-            SignalRequest(
-                frame=frame,
-                sim_time_ns=now_ns,
-                tls=self.tls,
-                state=decision.state,
-                policy=decision.policy,
-                not_before_ns=now_ns + round(decision.wait_s * 1e9),
-            ),
-            now_ns,
-        )
+        self.cabinet.request(decision.request(self.tls, frame, now_ns), now_ns)
         return taken_ns
 
     def queue_errors(self, truth: _Truth) -> list[tuple[float, bool]]:

@@ -22,6 +22,7 @@ KINDS = (
     "all_green",
     "all_red",
     "delayed",
+    "begins_later",
 )
 
 
@@ -45,6 +46,7 @@ class Hostile:
             "all_green": lambda now_ns: self._ask(now_ns, "G" * self._size),
             "all_red": lambda now_ns: self._ask(now_ns, "r" * self._size),
             "delayed": lambda now_ns: self._ask(now_ns, delay_ns=self._between(0, 60 * S)),
+            "begins_later": lambda now_ns: self._ask(now_ns, wait_ns=self._between(0, 5 * S)),
         }
         assert tuple(self._makers) == KINDS
 
@@ -65,6 +67,7 @@ class Hostile:
         state: str | None = None,
         tls: str | None = None,
         delay_ns: int | None = None,
+        wait_ns: int = 0,
     ) -> SignalRequest:
         return SignalRequest(
             frame=int(self._rng.integers(1 << 39)),
@@ -73,6 +76,7 @@ class Hostile:
             state=self._phase() if state is None else state,
             policy="hostile",
             delay_sim_ns=delay_ns,
+            not_before_ns=sim_time_ns + wait_ns,
         )
 
     def _phase(self) -> str:

@@ -28,8 +28,7 @@ def violations(
     That is: right of way for two links that conflict, unless the plan shows just that or more; a
     green shorter than `min_green_s`; one that ends without yellow; a yellow shorter than
     `yellow_s`; less than `all_red_s` between the yellow of a link and the green of one that
-    conflicts with it, or its own; one that had right of way and yields, without a stop between,
-    to one that starts.
+    conflicts with it, or its own; one that had right of way and yields without a stop between.
 
     Args:
         shown: simulated time in ns and state, one character per link, at rising times.
@@ -142,16 +141,14 @@ class SignalMonitor:
         return found + [one for link in gaining for one in self._cleared(link, time_ns)]
 
     def _yielding(self, time_ns: int, state: str) -> list[str]:
-        """Returns who had right of way and now yields to who starts, without a stop between."""
+        """Returns who had right of way and now yields, without a stop between."""
         hidden_ns = time_ns - self._step_ns - self._time_ns
         if hidden_ns >= self._clearance_ns[_GREEN]:
             return []
         return [
-            f"link {link} has to yield to link {foe}, which starts, without yellow"
+            f"link {link} had right of way and has to yield without yellow"
             for link, (before, after) in enumerate(zip(self._state, state, strict=True))
-            for foe in self._foes[link]
-            if before + after == "Gg" and self._state[foe] != state[foe] in ("G", "g")
-            if foe != link
+            if before + after == "Gg"
         ]
 
     def _ended(self, number: int, link: _Link, after: str, hidden_ns: int) -> list[str]:

@@ -241,11 +241,11 @@ def follow_lanes(
     """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
 
     Solid ones stand in the way of those behind them; free ones do only that. Who does not move is
-    taken to stand if it is `known`, or waits behind another or before a bar. How far off the mean
-    of a track is that was not `seen` in the last frame is bounded by others. `dims` (N, 4) are z,
-    length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of `LaneGraph.lights`.
-    `share` (N,) is multiplied by the probability of the way taken at each fork, and becomes 0 where
-    a lane ends on the map.
+    taken to stand if it is `known`, by enough detections, or waits behind another or before a bar.
+    How far off the mean of a track is that was not `seen` in the last frame is bounded by others.
+    `dims` (N, 4) are z, length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of
+    `LaneGraph.lights`. `share` (N,) is multiplied by the probability of the way taken at each fork,
+    and becomes 0 where a lane ends on the map.
     """
     count = mean.shape[0]
     left_s = dt_s

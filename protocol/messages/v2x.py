@@ -289,9 +289,10 @@ class SignalRequest(Message):
     """A policy's wish: the green state to show, one character per link.
 
     `policy` is what decided, "plan" where the policy knew too little and fell back on the fixed
-    plan. Until `not_before_ns` what was requested before holds; at a time that has passed, nothing
-    does. `unknown` are the lanes without sensor coverage, whose vehicles were estimated. `advised`
-    is how many vehicles get a `SpeedAdvice` in this frame, which may arrive before it or after it.
+    plan. Until `not_before_ns`, in simulated time, what was requested before holds; a time that has
+    passed means at once. `unknown` are the lanes without sensor coverage, whose vehicles were
+    estimated. `advised` is how many vehicles get a `SpeedAdvice` in this frame, which may arrive
+    before it or after it.
     """
 
     kind: ClassVar[int] = 7

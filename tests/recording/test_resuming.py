@@ -26,7 +26,7 @@ def break_off(run_dir: Path, *meta: MetaRow) -> None:
     database = Database(run_dir)
     database.add(MetaRow, [MetaRow("scenario", "{}"), *meta])
     database.add(FrameRow, [frame_row(39)._replace(sim_time_ns=3_900_000_000), frame_row(41)])
-    database.add(RequestRow, [RequestRow(40, "tls", "G", "max_pressure", "[]", None, "")])
+    database.add(RequestRow, [RequestRow(40, "tls", "G", "max_pressure", "[]", None, "", 0)])
     database.add(DropRow, [DropRow("edge", "late", 3)])
     database.commit()
     database._connection.close()  # as if it had been killed

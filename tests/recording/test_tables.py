@@ -167,11 +167,11 @@ def test_every_value_of_a_signal_state_stands_in_its_own_column() -> None:
 def test_every_value_of_a_signal_request_stands_in_its_own_column() -> None:
     message = SignalRequest(
         frame=7, sim_time_ns=700, tls="j", state="GGr", policy="max_pressure",
-        pressures=[1.5, -2.0], unknown=["in_0", "in_1"], delay_sim_ns=30,
+        pressures=[1.5, -2.0], unknown=["in_0", "in_1"], delay_sim_ns=30, not_before_ns=750,
     )  # fmt: skip
     assert request_row(message) == RequestRow(
         frame=7, tls="j", state="GGr", policy="max_pressure", pressures="[1.5, -2.0]",
-        delay_sim_ns=30, unknown="in_0 in_1",
+        delay_sim_ns=30, unknown="in_0 in_1", wait_sim_ns=50,
     )  # fmt: skip
 
 

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.messages import SignalRequest
 from signal_controller.config import SignalConfig
 from signal_controller.observation import (
     CabinetTimes,
@@ -23,7 +22,7 @@ from signal_controller.observation import (
 from signal_controller.policies import Predictive
 from signal_controller.predictive import PlannerSettings, PredictivePlanner
 from signal_controller.predictive_discharge import Problem, run
-from signal_controller.predictive_model import JunctionModel
+from signal_controller.predictive_model import PROTECTED, RED, JunctionModel
 from signal_controller.predictive_search import Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
 from sim_host.cabinet import SignalCabinet
@@ -323,6 +322,42 @@ def test_a_green_that_should_end_before_the_next_frame_is_told_when(interval_s, 
     assert planner.wait_s == 0.0
 
 
+@pytest.mark.parametrize("speed_mps", [0.0, 0.3, 4.2])
+def test_between_frames_nobody_drives_over_a_red_light(speed_mps: float) -> None:
+    planner = PredictivePlanner(SITE, PlannerSettings())
+    known = vehicles(("e_0", 2.0 if speed_mps > 1 else 0.1, speed_mps), ("n_0", 0.1, speed_mps))
+    expected, is_open = planner.expected(known), np.array([c == "G" for c in NS])
+    assert len(expected.rows) == 2
+    assert expected.after(0.5, is_open).lanes == (["e_0"] if speed_mps else ["e_0", "n_0"])
+
+
+def with_a_lane_inside() -> SignalSite:
+    """Returns the crossing where the left turn from the north has a lane on the junction."""
+    inner = lane(":j_0", [(-3, 10, 0), (5, 0, 0)], "oute_0")
+    lanes = {one.id: one for one in [*SITE.road_map.lanes, inner]}
+    lanes["n_1"] = lanes["n_1"].model_copy(update={"successors": [inner.id]})
+    return replace(SITE, road_map=one_junction("crossing", list(lanes.values()), SIGNAL))
+
+
+def test_between_frames_who_waits_inside_still_does() -> None:
+    planner = PredictivePlanner(with_a_lane_inside(), PlannerSettings())
+    for second, place in enumerate([("n_1", 3.0, 5.0), (":j_0", -4.0, 0.0)], 60):
+        shown = green(NS, second * S)
+        planner.request(float(second), vehicles(place), shown, dict.fromkeys(LANES, 1.0))
+    nobody = np.zeros((len(LANES), 60))
+    now, later = (planner.problem(61.0, nobody, 0, wait_s=wait_s) for wait_s in (0.0, 0.5))
+    assert now.inside[LANES.index("n_1")] == later.inside[LANES.index("n_1")] == 1.0
+    assert (later.begin == now.begin - 0.5)[LANES.index("n_0")]
+
+
+def test_the_plan_knows_that_a_turn_is_stopped_before_it_has_to_yield() -> None:
+    model, one_side = JunctionModel(SITE, pedestrian_green_s=7.0), 4
+    assert (PHASES[one_side][:2], NS[:2]) == ("GG", "Gg")
+    kept = model.pair_status[len(PHASES) * (1 + one_side)]
+    assert [kept[LANES.index(name)] for name in ("n_0", "n_1")] == [PROTECTED, RED]
+    assert model.change_steps[one_side, 0] == 5
+
+
 def test_a_vehicle_of_unknown_speed_is_taken_to_pass_as_one_that_is_as_fast_as_allowed() -> None:
     for away_m, ends in ((20.0, True), (21.0, False)):
         planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=0))
@@ -332,7 +367,6 @@ def test_a_vehicle_of_unknown_speed_is_taken_to_pass_as_one_that_is_as_fast_as_a
 
 
 def test_a_queue_that_may_be_longer_than_what_is_seen_goes_on_at_its_end() -> None:
-    # At the stop bar, a single box at the end would keep its green for as long as it is there.
     planner = PredictivePlanner(SITE, PlannerSettings(inflow_vph=500))
     seen_share, lane_index = 0.6, LANES.index("n_0")
     away_m = seen_share * planner.model.reach_m[lane_index] - 5.0
@@ -551,11 +585,7 @@ def test_arrivals_are_counted_over_the_time_that_a_lane_is_seen() -> None:
 
 
 def test_who_stands_behind_the_stop_bar_waits_inside_until_he_has_left_the_junction() -> None:
-    inner = lane(":j_0", [(-3, 10, 0), (5, 0, 0)], "oute_0")
-    lanes = {one.id: one for one in [*SITE.road_map.lanes, inner]}
-    lanes["n_1"] = lanes["n_1"].model_copy(update={"successors": [inner.id]})
-    road_map = one_junction("crossing", list(lanes.values()), SIGNAL)
-    model = JunctionModel(replace(SITE, road_map=road_map), 7)
+    model = JunctionModel(with_a_lane_inside(), 7)
     memory, waits = TrafficMemory(model, 500, 1900), []
     places = [("n_1", 3.0, 5.0), (":j_0", -4.0, 0.0), (":j_0", -4.0, 3.0), ("oute_0", -20.0, 0.0)]
     for second, place in enumerate(places):
@@ -636,10 +666,7 @@ def test_whatever_is_seen_the_cabinet_accepts_the_request(frames, has_ids: bool)
             Observation(counts(frame, now_ns), cabinet.spat(frame, now_ns), observed)
         )
         assert decision.state in SIGNAL.greens
-        request = SignalRequest(
-            frame=frame, sim_time_ns=now_ns, tls="j", state=decision.state, policy="predictive"
-        )
-        assert cabinet.request(request, now_ns) is None
+        assert cabinet.request(decision.request("j", frame, now_ns), now_ns) is None
 
 
 def hostile_minutes(seconds: int, seed: int) -> tuple[list[str], dict[int, int]]:
@@ -662,12 +689,7 @@ def hostile_minutes(seconds: int, seed: int) -> tuple[list[str], dict[int, int]]
         decision = known.decide(
             Observation(counts(second, now_ns), cabinet.spat(second, now_ns), found)
         )
-        cabinet.request(
-            SignalRequest(
-                frame=second, sim_time_ns=now_ns, tls="j", state=decision.state, policy="p"
-            ),
-            now_ns,
-        )
+        cabinet.request(decision.request("j", second, now_ns), now_ns)
         shown.append(state)
         for link in range(8):
             since[link] = 0 if state[link] in "Gg" else since[link] + 1
@@ -718,8 +740,5 @@ def test_no_approach_starves_because_nobody_reports_from_it(coverage) -> None:
         reds.append(red)
         spat = cabinet.spat(second, now_ns)
         decision = known.decide(Observation(counts(second, now_ns, **coverage), spat, reporting))
-        request = SignalRequest(
-            frame=second, sim_time_ns=now_ns, tls="j", state=decision.state, policy="p"
-        )
-        cabinet.request(request, now_ns)
+        cabinet.request(decision.request("j", second, now_ns), now_ns)
     assert max(reds) <= 180

@@ -71,13 +71,14 @@ def test_another_request_replaces_one_that_has_not_begun() -> None:
     assert [cabinet.advance(second * S) for second in (11, 12, 13)] == ["Gr"] * 3
 
 
-def test_a_request_that_never_begins_is_stale_in_time() -> None:
-    cabinet, stale_ns = green_cabinet(TWO, "rG"), round(CONFIG.stale_after_s * S)
-    cabinet.request(wanted("Gr", 10 * S + 1, not_before_ns=10**6 * S), 10 * S + 1)
-    assert cabinet.advance(10 * S + 1 + stale_ns) == "rG"
-    assert cabinet.spat(0, 10 * S + 1 + stale_ns).source == "test"
-    cabinet.advance(10 * S + 2 + stale_ns)
-    assert cabinet.spat(0, 10 * S + 2 + stale_ns).source == "plan"
+def test_requests_that_are_put_off_again_and_again_do_not_keep_an_old_one_alive() -> None:
+    cabinet, sources = green_cabinet(TWO, "rG"), []
+    for second in range(11, 20):
+        later = wanted("Gr", second * S, policy="late", not_before_ns=(second + 2) * S)
+        assert cabinet.request(later, second * S) is None
+        cabinet.advance(second * S)
+        sources.append(cabinet.spat(0, second * S).source)
+    assert sources == ["test"] * 3 + ["plan"] * 6
 
 
 def test_a_green_lasts_its_minimum() -> None:
@@ -118,16 +119,12 @@ def test_a_change_that_stops_nobody_is_made_at_once() -> None:
     assert cabinet.spat(0, 10 * S + 1).stage == "green"
 
 
-def test_a_turn_is_stopped_before_it_has_to_yield_to_those_who_start() -> None:
+@pytest.mark.parametrize("yielding", ["gG", "gr"])
+def test_a_turn_with_right_of_way_is_stopped_before_it_has_to_yield(yielding: str) -> None:
+    # Also where nobody starts: else the next change could let somebody start at once.
     cabinet = green_cabinet(TURN, "Gr")
-    assert cabinet.request(wanted("gG", 10 * S + 1), 10 * S + 1) is None
-    assert [cabinet.advance(s * S + 1) for s in (10, 14, 15)] == ["yr", "rr", "gG"]
-
-
-def test_who_yields_to_nobody_that_starts_goes_on() -> None:
-    cabinet = green_cabinet(TURN, "Gr")
-    assert cabinet.request(wanted("gr", 10 * S + 1), 10 * S + 1) is None
-    assert cabinet.advance(10 * S + 1) == "gr"
+    assert cabinet.request(wanted(yielding, 10 * S + 1), 10 * S + 1) is None
+    assert [cabinet.advance(s * S + 1) for s in (10, 14, 15)] == ["yr", "rr", yielding]
 
 
 def test_the_plan_changes_at_its_own_times() -> None:
@@ -153,6 +150,7 @@ def test_links_green_before_and_after_keep_their_green() -> None:
         (wanted("GX", 9 * S), "bad_alphabet"),
         (wanted("rr", 9 * S), "no_green"),
         (wanted("Gr", 11 * S), "from_the_future"),
+        (wanted("Gr", 9 * S, not_before_ns=13 * S), "begins_too_late"),
         (wanted("Gr", 6 * S), "stale"),
         (wanted("Gr", -9 * S), "stale"),
         (wanted("GG", 9 * S), "conflict"),
@@ -255,9 +253,9 @@ def test_no_requests_whatever_make_it_unsafe(
     check_no_conflict(signal, [state for _, state in history])
     for link in range(len(signal.plan[0].state)):
         check_times(link, history, config)
+        check_right_of_way(link, history, config)
     for pair in signal.conflicts:
         check_clearance(pair, history, config)
-        check_right_of_way(pair, history, config)
 
 
 def check_no_conflict(signal: Signal, shown: list[str]) -> None:
@@ -283,15 +281,11 @@ def check_times(link: int, history: list[tuple[int, str]], config: CabinetConfig
             stage, since_ns = colour, now_ns
 
 
-def check_right_of_way(
-    pair: tuple[int, int], history: list[tuple[int, str]], config: CabinetConfig
-) -> None:
-    """Nobody who had right of way yields to who starts without having been stopped."""
-    for one, other in (pair, pair[::-1]):
-        for (before_ns, before), (now_ns, after) in pairwise(history):
-            has_to_yield = before[one] + after[one] == "Gg"
-            if has_to_yield and before[other] != after[other] and after[other] in "Gg":
-                assert now_ns - before_ns >= (config.yellow_s + config.all_red_s) * S
+def check_right_of_way(link: int, history: list[tuple[int, str]], config: CabinetConfig) -> None:
+    """Nobody who had right of way yields without having been stopped."""
+    for (before_ns, before), (now_ns, after) in pairwise(history):
+        if before[link] + after[link] == "Gg":
+            assert now_ns - before_ns >= (config.yellow_s + config.all_red_s) * S
 
 
 def check_clearance(

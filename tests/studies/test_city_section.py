@@ -58,7 +58,7 @@ def page(tmp_path: Path) -> Page:
             database.add(PhaseRow, [PhaseRow(n, tls, ns, green, "green", green, "max_pressure")])
             pressures = f"[{ord(tls)}.0, 0.0]"
             database.add(
-                RequestRow, [RequestRow(n, tls, green, "max_pressure", pressures, None, "")]
+                RequestRow, [RequestRow(n, tls, green, "max_pressure", pressures, None, "", 0)]
             )
     database.close()
     return run_page(tmp_path)

@@ -80,7 +80,7 @@ def make_run(
         )
         stage = "green" if n % 20 < 15 else "yellow"
         database.add(PhaseRow, [PhaseRow(n, "t", ns, "G", stage, "G", "max_pressure")])
-        database.add(RequestRow, [RequestRow(n, "t", "G", "max_pressure", "[1.0]", None, "")])
+        database.add(RequestRow, [RequestRow(n, "t", "G", "max_pressure", "[1.0]", None, "", 0)])
     database.close()
 
 

@@ -65,7 +65,7 @@ def whole_run(run_dir: Path) -> None:
         stage = "yellow" if frame == 4 else stage
         database.add(PhaseRow, [PhaseRow(frame, "t", frame * 100 * MS, state, stage, state, "p")])
         unknown = "a b" if frame < 3 else ""
-        asked = RequestRow(frame, "t", state, "max_pressure", "[]", None, unknown)
+        asked = RequestRow(frame, "t", state, "max_pressure", "[]", None, unknown, 0)
         database.add(RequestRow, [asked])
     database.add(
         TripRow,
