@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -24,11 +24,12 @@ class CabinetTimes:
     min_green_s: float = 5.0
     yellow_s: float = 4.0
     all_red_s: float = 1.0
+    stale_after_s: float = 3.0
 
     @classmethod
     def of(cls, section: Mapping[str, Any]) -> Self:
         """Reads the scenario's section `cabinet`."""
-        return cls(*(section[key] for key in ("min_green_s", "yellow_s", "all_red_s")))
+        return cls(**{one.name: section[one.name] for one in fields(cls)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,8 +26,6 @@ from signal_controller.queue_estimator import (
 from signal_controller.speed_advice import SpeedAdviser
 
 Unseen = Literal["alike", "empty"]
-MAX_WAIT_S = 60.0
-"""The longest `wait_s` of a decision."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +170,8 @@ def policy_of(config: SignalConfig, site: SignalSite) -> SignalPolicy:
             return Predictive(config, site)
         case name:
             plugin = POLICIES.load(name)
-            return _CheckedPolicy(plugin, plugin.make("decide", config, site), site.signal)
+            made = plugin.make("decide", config, site)
+            return _CheckedPolicy(plugin, made, site.signal, site.cabinet.stale_after_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,6 +283,7 @@ class _CheckedPolicy:
     plugin: Plugin
     policy: SignalPolicy
     signal: Signal
+    stale_after_s: float
 
     @property
     def needs_vehicles(self) -> bool:
@@ -305,6 +305,9 @@ class _CheckedPolicy:
                 f"decided {decision.state!r:.80}, must be a G, g or r for each of {links} links"
             )
         wait_s: object = decision.wait_s
-        if not isinstance(wait_s, int | float) or not 0 <= wait_s <= MAX_WAIT_S:
-            raise self.plugin.wrong(f"waits {decision.wait_s!r:.80} s, must be 0 to {MAX_WAIT_S}")
+        if not isinstance(wait_s, int | float) or not 0 <= wait_s <= self.stale_after_s:
+            raise self.plugin.wrong(
+                f"waits {decision.wait_s!r:.80} s, must be 0 to {self.stale_after_s:g} "
+                "(cabinet.stale_after_s)"
+            )
         return decision

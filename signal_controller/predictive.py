@@ -22,7 +22,6 @@ from signal_controller.predictive_model import (
     PROTECTED,
     RED,
     STEP_S,
-    Bools,
     Floats,
     JunctionModel,
 )
@@ -60,13 +59,13 @@ class ExpectedVehicles:
     arrival_s: Floats
     shares: Floats
 
-    def after(self, wait_s: float, is_open: Bools) -> Self:
+    def after(self, wait_s: float, may: Floats) -> Self:
         """Returns those that are still before the stop bars then, if all keep their speeds.
 
-        Only at lanes (L,) that are open may they have passed.
+        `may` (L,) is the share of a lane that may go: others do not pass.
         """
         distances_m = self.distances_m - wait_s * self.speeds_mps
-        passed = (distances_m <= 0.0) & (self.distances_m > 0.0) & (self.shares @ is_open > 0.5)
+        passed = (distances_m <= 0.0) & (self.distances_m > 0.0) & (self.shares @ may > 0.5)
         left = np.flatnonzero(~passed)
         return type(self)(
             rows=[self.rows[n] for n in left],
@@ -137,7 +136,9 @@ class PredictivePlanner:
         """
         vehicles = self.vehicles = self._association.take(time_s, self._nearest(vehicles))
         model, memory = self.model, self.memory
-        interval_s = min(max(0.0, time_s - self._time_s), _LONGEST_S)
+        interval_s = min(
+            max(0.0, time_s - self._time_s), _LONGEST_S, model.site.cabinet.stale_after_s
+        )
         self._time_s, self.wait_s = time_s, 0.0
         unseen = uncovered_lanes(model.lanes, coverage) if coverage else model.lanes
         memory.take(time_s, vehicles, shown.state, unseen)
@@ -198,11 +199,11 @@ class PredictivePlanner:
         if not self.plan.phases[1:] or self.plan.phases[1][1] == 0:
             return
         changes_s, nodes = self.plan.phases[1][1] * STEP_S, self.plan.nodes
-        is_open = now.protected[now.phase] + now.permitted[now.phase] > 0.0
+        may = now.protected[now.phase] + now.permitted[now.phase]
         for wait_s in np.arange(_BETWEEN_S, interval_s - 1e-6, _BETWEEN_S).tolist():
             if changes_s > wait_s + _SOON_AFTER_S:
                 continue
-            later = expected.after(wait_s, is_open)
+            later = expected.after(wait_s, may)
             problem = self.problem(
                 time_s, self.arrivals(later), now.phase, self.passing(later), wait_s
             )

@@ -64,6 +64,7 @@ class SignalCabinet:
         self.refusals: Counter[str] = Counter()
         self._request: SignalRequest | None = None
         self._held: SignalRequest | None = None  # the last one that has begun, until this one does
+        self._held_until_ns = 0
         self._stage = "all_red"
         self._since_ns: int | None = None
         self._state = self._green = "r" * self._size
@@ -77,8 +78,7 @@ class SignalCabinet:
         """
         reason = self.refuse(request, now_ns)
         if reason is None:
-            if self._request is not None and self._request.not_before_ns <= now_ns:
-                self._held = self._request
+            self._hold(request, now_ns)
             self._request = request
         return reason
 
@@ -132,13 +132,27 @@ class SignalCabinet:
             self._state = self._green
 
     def _wanted(self, now_ns: int) -> tuple[str, str]:
-        for request in (self._request, self._held):
-            if request is not None and self._holds(request, now_ns):
-                return request.state, request.policy
+        request, until_ns = self._request, self._held_until_ns
+        if request is not None and request.not_before_ns <= now_ns:
+            until_ns = request.sim_time_ns + self._stale_ns
+        else:
+            request = self._held
+        if request is not None and now_ns <= until_ns:
+            return request.state, request.policy
         return self._signal.planned_green(now_ns / 1e9), PLAN
 
-    def _holds(self, request: SignalRequest, now_ns: int) -> bool:
-        return request.not_before_ns <= now_ns <= request.sim_time_ns + self._stale_ns
+    def _hold(self, request: SignalRequest, now_ns: int) -> None:
+        """Keeps what is wanted until a request begins, unless it has not begun itself.
+
+        It holds until then, if it is not stale now. Requests that replace the one put off do not
+        prolong that.
+        """
+        last = self._request
+        if last is None or last.not_before_ns > now_ns:
+            return
+        self._held, self._held_until_ns = last, last.sim_time_ns + self._stale_ns
+        if now_ns <= self._held_until_ns:
+            self._held_until_ns = max(self._held_until_ns, request.not_before_ns)
 
     def _refusal(self, request: SignalRequest, now_ns: int) -> str | None:
         # Age counts in simulated time, not in frames: a forged frame number must not lock others

@@ -350,7 +350,7 @@ def _controllers(case: ControlCase, road_map: RoadMap) -> list[_Controller]:
     if case.policy == OWN_PLAN or case.policy in SUMO_TYPES:
         return []
     cabinet = CabinetConfig.model_validate(dict(case.cabinet))
-    times = CabinetTimes(cabinet.min_green_s, cabinet.yellow_s, cabinet.all_red_s)
+    times = CabinetTimes.of(cabinet.model_dump())
     sites = [
         SignalSite(one.signal, road_map, case.upstream_m, times) for one in road_map.intersections
     ]

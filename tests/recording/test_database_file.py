@@ -19,6 +19,7 @@ from recording.tables import (
     CountRow,
     FrameRow,
     MetaRow,
+    RequestRow,
     SightingRow,
     StageRow,
     TripRow,
@@ -172,13 +173,16 @@ def test_foreign_databases_and_versions_are_refused(tmp_path: Path) -> None:
 
 def test_what_an_older_run_lacks_is_read_as_null_and_not_compared(tmp_path: Path) -> None:
     trip = TripRow("a", 0, 0.0, 9.0, 4.0, 0, 1, 200.0)
+    asked = RequestRow(1, "j", "Gr", "fixed", "[]", None, "", 0)
     for name in ("older", "newer"):
         (tmp_path / name).mkdir()
         database = Database(tmp_path / name)
         database.add(TripRow, [trip])
+        database.add(RequestRow, [asked])
         database.close()
     connection = sqlite3.connect(tmp_path / "older" / FILE_NAME)
     for statement in (
+        "ALTER TABLE requests DROP COLUMN wait_sim_ns",
         "ALTER TABLE trips DROP COLUMN stops",
         "ALTER TABLE trips DROP COLUMN co2_g",
         "UPDATE meta SET value = '17' WHERE key = 'schema_version'",
@@ -188,6 +192,7 @@ def test_what_an_older_run_lacks_is_read_as_null_and_not_compared(tmp_path: Path
     connection.close()
     with Run(tmp_path / "older") as run:
         assert list(run.rows(TripRow)) == [trip._replace(stops=None, co2_g=None)]
+        assert list(run.rows(RequestRow)) == [asked._replace(wait_sim_ns=None)]
         assert run.query("SELECT avg(stops), sum(time_loss_s) FROM trips") == [(None, 4.0)]
     assert differences(tmp_path / "older", tmp_path / "newer") == []
     connection = sqlite3.connect(tmp_path / "older" / FILE_NAME)

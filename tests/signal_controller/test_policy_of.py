@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from protocol.errors import ConfigError
-from protocol.messages import LaneCounts, SignalState
+from protocol.messages import LaneCounts, SignalRequest, SignalState
 from protocol.roadmap import Link, PlanPhase, Signal
 from signal_controller.config import SignalConfig, check_policy
 from signal_controller.observation import Observation, SignalSite
@@ -99,6 +99,23 @@ def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(
     assert decision == Decision("Gr", [3.0, 4.0], "(9, 'j', 200.0)")
 
 
+def test_the_request_of_a_decision_begins_when_the_decision_says() -> None:
+    decision = Decision("Gr", [1.5], "mine", ("side",), wait_s=0.25)
+    request = decision.request("j", 3, 2 * 10**9, advised=2, delay_sim_ns=7)
+    assert request == SignalRequest(
+        frame=3,
+        sim_time_ns=2 * 10**9,
+        tls="j",
+        state="Gr",
+        policy="mine",
+        pressures=[1.5],
+        unknown=["side"],
+        advised=2,
+        not_before_ns=2_250_000_000,
+        delay_sim_ns=7,
+    )
+
+
 @pytest.mark.parametrize(
     ("answer", "why"),
     [
@@ -106,7 +123,7 @@ def test_a_plug_in_is_made_for_the_signal_and_gets_each_frames_counts_and_state(
             "",
             r"^the signal policy wrong of more-policies 1\.0 decided a int, must decide a Deci",
         ),
-        ("back in time", r"waits -1 s, must be 0 to 60\.0$"),
+        ("back in time", r"waits -1 s, must be 0 to 3 \(cabinet\.stale_after_s\)$"),
         ("GrG", r"decided 'GrG', must be a G, g or r for each of 2 links$"),
         ("G", r"decided 'G', must be a G, g or r for each of 2 links$"),
         ("Gy", r"decided 'Gy', must be a G, g or r for each of 2 links$"),

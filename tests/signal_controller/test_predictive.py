@@ -326,9 +326,10 @@ def test_a_green_that_should_end_before_the_next_frame_is_told_when(interval_s, 
 def test_between_frames_nobody_drives_over_a_red_light(speed_mps: float) -> None:
     planner = PredictivePlanner(SITE, PlannerSettings())
     known = vehicles(("e_0", 2.0 if speed_mps > 1 else 0.1, speed_mps), ("n_0", 0.1, speed_mps))
-    expected, is_open = planner.expected(known), np.array([c == "G" for c in NS])
+    expected, may = planner.expected(known), np.array([float(c == "G") for c in NS])
     assert len(expected.rows) == 2
-    assert expected.after(0.5, is_open).lanes == (["e_0"] if speed_mps else ["e_0", "n_0"])
+    assert expected.after(0.5, may).lanes == (["e_0"] if speed_mps else ["e_0", "n_0"])
+    assert expected.after(0.5, 0.3 * may).lanes == ["e_0", "n_0"]  # 70 % want to turn, at red
 
 
 def with_a_lane_inside() -> SignalSite:

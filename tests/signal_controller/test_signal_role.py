@@ -27,7 +27,7 @@ class Rig:
     ) -> None:
         scenario = {"mode": mode, "regions": {"r0": ["j"]}, "signal": {"policy": policy, **keys}}
         scenario["edge"] = {"upstream_m": 200}
-        scenario["cabinet"] = {"min_green_s": 5, "yellow_s": 4, "all_red_s": 1}
+        scenario["cabinet"] = {"min_green_s": 5, "yellow_s": 4, "all_red_s": 1, "stale_after_s": 3}
         setup = m.Setup(
             scenario=scenario,
             road_map=MAIN_AND_SIDE,

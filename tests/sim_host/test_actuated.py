@@ -29,9 +29,9 @@ def test_between_greens_lie_yellow_and_all_red_with_the_cabinets_times():
     ]  # fmt: skip
 
 
-def test_a_link_that_only_loses_its_right_of_way_stays_green_between():
+def test_a_link_that_loses_its_right_of_way_is_stopped_and_one_that_gains_it_is_not():
     found = [i.state for i in programme(signal("Ggr", "grG"), CabinetConfig())]
-    assert found == ["Ggr", "Gyr", "Grr", "grG", "gry", "grr"]
+    assert found == ["Ggr", "yyr", "rrr", "grG", "gry", "grr"]
 
 
 def test_no_interval_lasts_no_time():

@@ -71,6 +71,18 @@ def test_another_request_replaces_one_that_has_not_begun() -> None:
     assert [cabinet.advance(second * S) for second in (11, 12, 13)] == ["Gr"] * 3
 
 
+def test_what_holds_until_a_request_begins_is_not_stale_before() -> None:
+    cabinet, sources = green_cabinet(TWO, "rG"), set()
+    for second in range(12, 40, 2):  # a frame each 2 s, each request to begin in 1.5 s
+        later_ns = second * S + 3 * S // 2
+        request = wanted("rG", second * S, policy="late", not_before_ns=later_ns)
+        assert cabinet.request(request, second * S) is None
+        for tenth in range(20):
+            assert cabinet.advance(second * S + tenth * S // 10) == "rG"
+            sources.add(cabinet.spat(0, second * S + tenth * S // 10).source)
+    assert sources == {"test", "late"}
+
+
 def test_requests_that_are_put_off_again_and_again_do_not_keep_an_old_one_alive() -> None:
     cabinet, sources = green_cabinet(TWO, "rG"), []
     for second in range(11, 20):
