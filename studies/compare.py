@@ -105,6 +105,7 @@ def _baselines(comparison: Comparison) -> ControlStudy:
         tuning_duration_s=max(MIN_TUNING_S, asked.tuning_s),
         finalists=1,
         junctions=sorted(comparison.road_map.by_tls),
+        cabinet=asked.cabinet,
     )
 
 

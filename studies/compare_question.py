@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from protocol.errors import ConfigError
 from protocol.roadmap import RoadMap
 from sim_host.setup import build_setup, config_file, sumo_files, traffic_config
 from studies.compare_files import check_contents, check_flows, check_no_folders
+from studies.control_file import CabinetTime
 from studies.sumo_config import PAIRED_SETTINGS, SAME_FOR_ALL, write_config
 from studies.sweep.cells import Resolve
 
@@ -33,6 +34,7 @@ _RULED = {
     "traffic.default_demand_vph_per_lane": "--demand",
 }
 """Keys of a scenario that options of the command set."""
+_CABINET_TIMES = {f"cabinet.{name}": name for name in get_args(CabinetTime)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +98,8 @@ class Question:
         for key in self.settings or {}:
             if key in _RULED:
                 raise ConfigError(f"--set {key}: give {_RULED[key]} instead")
-            if any(f"{key}.".startswith(f"{one}.") for one in SAME_FOR_ALL):
+            is_same = any(f"{key}.".startswith(f"{one}.") for one in SAME_FOR_ALL)
+            if is_same and key not in _CABINET_TIMES:
                 raise ConfigError(
                     f"--set {key}: is the same for all that is compared, and cannot be set here"
                 )
@@ -117,6 +120,12 @@ class Question:
     def files(self) -> dict[str, Path | None]:
         """The files that are given, by their option."""
         return {"--net": self.net, "--sumocfg": self.sumocfg, "--routes": self.routes}
+
+    @property
+    def cabinet(self) -> dict[CabinetTime, float]:
+        """Times of the cabinet that are set, for all but the net's own plan."""
+        given = self.settings or {}
+        return {name: given[key] for key, name in _CABINET_TIMES.items() if key in given}
 
     @property
     def common_settings(self) -> dict[str, Any]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import yaml
 from pydantic import Field, ValidationError
 
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
-from sim_host.config import NetworkName
+from sim_host.config import CabinetConfig, NetworkName
 from studies.sweep.study_file import Name, Seed
 
 BENCH = "control"
@@ -22,6 +22,10 @@ NETS = ("moving_peak", *get_args(NetworkName))
 `moving_peak` is `t_junction` with a demand that no fixed plan fits. Of nets with several signals
 the busiest approach has 80 % of what its fixed plan can serve.
 """
+
+
+CabinetTime = Literal["min_green_s", "yellow_s", "all_red_s"]
+"""Times of a cabinet that are the same for all controls of a study."""
 
 
 class ControlStudy(Section):
@@ -49,6 +53,9 @@ class ControlStudy(Section):
         0, ge=0, le=7200, description="on the net's own plan, before policies and measures begin"
     )
     junctions: list[str] = Field([], description="signals that are controlled; none named: all")
+    cabinet: dict[CabinetTime, float] = Field(
+        {}, description="times of the scenario's section cabinet, for all but the net's own plan"
+    )
     tuning_duration_s: int = Field(1200, ge=60, le=86400, description="of each run for tuning")
     finalists: int = Field(
         3,
@@ -67,8 +74,15 @@ class ControlStudy(Section):
         """Checks that span several fields.
 
         Raises:
-            ConfigError: seeds overlap, the studied policy is none of those, a folder has factors.
+            ConfigError: seeds overlap, the studied policy is none of those, a folder has factors,
+                a time of the cabinet is out of its bounds.
         """
+        try:
+            CabinetConfig.model_validate(self.cabinet)
+        except ValidationError as error:
+            one = error.errors()[0]
+            where = ".".join(map(str, ("cabinet", *one["loc"])))
+            raise ConfigError(f"study {self.name}: {where}: {one['msg']}") from None
         both = sorted(set(self.seeds) & set(self.tuning_seeds))
         if both:
             raise ConfigError(f"study {self.name}: seed {both[0]} is for tuning and reported")

@@ -338,6 +338,7 @@ def _case(
         study.duration_s,
         warmup_s=study.warmup_s,
         junctions=tuple(study.junctions),
+        cabinet={**study.cabinet},
     )
     if policy == WEBSTER:
         case = replace(case, flows_vph=flows[group])

@@ -95,6 +95,7 @@ def _common(study: ControlStudy, config: Path, road_map: RoadMap) -> dict[str, A
         "roadside_mounts": post_mounts(road_map, signals),
         "traffic.cav_rate": 0,
         "record.snapshot_period_s": 0,
+        **{f"cabinet.{key}": value for key, value in study.cabinet.items()},
     }
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from cpnet.study_cells import resolved
 from protocol.errors import ConfigError
-from studies.compare import Variant, perceived_cases
+from studies.compare import Variant, _baselines, perceived_cases
 from studies.compare_answer import answer, caveat
 from studies.compare_page import compare_page, seen_table
 from studies.compare_question import Question, prepare
@@ -219,6 +219,16 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
     assert case.scenario["traffic"]["lateral"]["lane_change_s"] == 0
 
 
+def test_the_cabinets_times_are_the_same_with_and_without_perception(net, tmp_path) -> None:
+    own = {"cabinet.yellow_s": 3, "cabinet.all_red_s": 2}
+    question = Question(net=net, demand_vph=300.0, settings=own)
+    comparison = prepare(question, tmp_path, "mine", resolve)
+    (case, *_) = perceived_cases(comparison, "predictive", "posts", None, resolve)
+    found = case.scenario["cabinet"]
+    assert (found["yellow_s"], found["all_red_s"]) == (3, 2)
+    assert _baselines(comparison).cabinet == {"yellow_s": 3, "all_red_s": 2}
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -232,7 +242,7 @@ def test_nobody_stops_vehicles_in_the_runs_with_perception_alone(net, tmp_path, 
         ({"demand_vph": 3.0, "posts": ["all", "centre"]}, "--posts all,centre: all stands alone"),
         ({"net": Path()}, r"--net \.: is a folder"),
         ({"demand_vph": 300.0, "settings": {"seed": 3}}, "--set seed: give --seeds instead"),
-        ({"demand_vph": 3.0, "settings": {"cabinet.yellow_s": 3}}, "is the same for all"),
+        ({"demand_vph": 3.0, "settings": {"cabinet.max_gap_s": 3}}, "is the same for all"),
         ({"demand_vph": 3.0, "settings": {"traffic.pedestrians_per_hour": 9}}, "the same for all"),
     ],
 )

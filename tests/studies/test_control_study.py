@@ -50,6 +50,11 @@ def test_the_built_in_study_is_of_its_kind_and_others_are_not() -> None:
         ({"nets": {"resco/cologne1": [1.2]}}, "has a demand of its own"),
         ({"edge.detector": "fast"}, "--set edge.detector: a study of control allows: bench"),
         ({"duration_s": 3}, "duration_s"),
+        (
+            {"cabinet": {"yellow_s": 60}},
+            r"study control: cabinet\.yellow_s: .* less than or equal to 20",
+        ),
+        ({"cabinet": {"max_green_s": 60}}, "cabinet.max_green_s"),
     ],
 )
 def test_what_makes_no_study_is_refused(change: dict, message: str) -> None:
@@ -99,6 +104,15 @@ def test_controls_with_perception_have_posts_and_the_traffic_of_their_net_and_de
         assert Path(one["traffic.sumocfg"]).exists()
     bare = settings_of(perceiving({**SEEN, "roadside_mounts": []}), tmp_path)
     assert all(one["roadside_mounts"] == [] for one in bare)
+
+
+def test_the_times_of_the_cabinet_are_those_of_all_controls(tmp_path: Path) -> None:
+    study = perceiving(SEEN).model_copy(update={"cabinet": {"yellow_s": 3.0, "all_red_s": 2.0}})
+    for one in settings_of(study, tmp_path):
+        assert (one["cabinet.yellow_s"], one["cabinet.all_red_s"]) == (3.0, 2.0)
+    case = control_study._case(study, Group("t_junction", 1.0), "actuated", {}, None, 1)
+    longest = case.tuned(Tuning("", cabinet={"max_green_s": 25}))
+    assert longest.cabinet == {"yellow_s": 3.0, "all_red_s": 2.0, "max_green_s": 25}
 
 
 @pytest.mark.parametrize("key", ["seed", "traffic.step_s", "cabinet.all_red_s", "mode"])
