@@ -108,6 +108,10 @@ class PredictivePlanner:
     def __init__(self, site: SignalSite, settings: PlannerSettings) -> None:
         self._settings = settings
         self.model = JunctionModel(site, settings.pedestrian_green_s)
+        self._reach_m = {
+            lane: float(self.model.reach_m[self.model.lane_index[side.counts_for]])
+            for lane, side in self.model.approaches.upstream.items()
+        }
         self.memory = TrafficMemory(self.model, settings.inflow_vph, settings.saturation_vph)
         self.queues = QueueFilter(self.model, settings.inflow_vph, settings.saturation_vph)
         self.plan: Plan | None = None
@@ -315,13 +319,17 @@ class PredictivePlanner:
         return round(self._settings.horizon_s / STEP_S)
 
     def expected(self, vehicles: LaneVehicles) -> ExpectedVehicles:
-        """Returns the vehicles before the stop bars with their arrival times."""
+        """Returns the vehicles before the stop bars with their arrival times.
+
+        Those that are farther away than vehicles can be known are part of the expected inflow.
+        """
         model, memory = self.model, self.memory
-        upstream, parked = model.approaches.upstream, memory.parked
+        parked, reach_m = memory.parked, self._reach_m
+        around = zip(vehicles.lanes, vehicles.ids, vehicles.distances_m.tolist(), strict=True)
         rows = [
             index
-            for index, (lane, name) in enumerate(zip(vehicles.lanes, vehicles.ids, strict=True))
-            if lane in upstream and name not in parked
+            for index, (lane, name, distance_m) in enumerate(around)
+            if distance_m <= reach_m.get(lane, -math.inf) and name not in parked
         ]
         lanes = [vehicles.lanes[i] for i in rows]
         distances_m = vehicles.distances_m[rows]
@@ -364,13 +372,12 @@ class PredictivePlanner:
     def _overdue_phase(self, time_s: float, phase: int) -> int | None:
         """Returns the phase that must come next because a vehicle has waited too long."""
         model, memory = self.model, self.memory
-        waited_s = time_s - memory.served_s
+        is_ever_green = model.status.max(axis=0) > RED
+        waited_s = np.where(is_ever_green, time_s - memory.served_s, 0.0)
         longest = int(np.argmax(waited_s))
         if waited_s[longest] < self._settings.max_red_s:
             return None
         best = model.status[:, longest].max()
-        if best == 0:
-            return None
         serving = np.flatnonzero(model.status[:, longest] == best)
         total_s = [float(waited_s[model.status[p] == PROTECTED].sum()) for p in serving]
         if phase in serving:

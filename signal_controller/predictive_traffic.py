@@ -39,6 +39,7 @@ _PARKED = 0.5  # it is taken for parked from such a probability on
 _FORGIVEN_S = 120.0  # in which that probability recovers
 _GREENS = (PROTECTED, PERMITTED)
 _ROOM_M = 8.0  # that an exit needs for one more vehicle
+_ENTRY_M = 20.0  # of an exit: who is first seen so near its start comes from the junction
 _SHORT_M = 6.0  # on a shorter lane before a stop bar no middle of a vehicle may ever be seen
 _ACCELERATION_MPS2 = 2.0
 _LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
@@ -73,7 +74,9 @@ class TrafficMemory:
         self._is_seen = np.zeros(lanes, np.bool_)
         self._inflow_per_s = inflow_vph / 3600
         self._last_passage_s = np.full(lanes, -math.inf)
+        self._last_green_s = np.full(lanes, -math.inf)
         self._heads: list[Floats | None] = [None] * lanes  # what the first vehicles want
+        self._first_waits = np.zeros(lanes, np.bool_)  # also farther from the stop bar
         self._tracks: dict[str, TrackedVehicle] = {}
         self._parked_places = ParkedPlaces()
         self._exits = _exit_starts(model)
@@ -215,19 +218,23 @@ class TrafficMemory:
         fresh = (shown != RED) & np.isinf(self.green_since_s)
         self.green_since_s[fresh] = time_s
         self.green_since_s[shown == RED] = math.inf
+        self._last_green_s[np.isfinite(self.lane_green_since_s)] = time_s
         return shown
 
     def _note_room(self, vehicles: LaneVehicles) -> None:
         tails_m: dict[str, float] = {}
         rows = zip(
+            vehicles.ids,
             vehicles.lanes,
             vehicles.distances_m.tolist(),
             vehicles.lengths_m.tolist(),
             vehicles.speeds_mps.tolist(),
             strict=True,
         )
-        for lane, distance_m, length_m, speed_mps in rows:
-            if lane in self._exits and speed_mps < STOPPED_MPS:
+        for name, lane, distance_m, length_m, speed_mps in rows:
+            track = self._tracks.get(name)
+            is_queue = track is None or track.lane != lane or not track.is_no_queue
+            if lane in self._exits and speed_mps < STOPPED_MPS and is_queue:
                 tail_m = self._exits[lane] - distance_m - length_m
                 tails_m[lane] = min(tail_m, tails_m.get(lane, math.inf))
         for index, movement in enumerate(self._model.movements):
@@ -260,12 +267,41 @@ class TrafficMemory:
             if track.passed >= 0:
                 self._note_exit(track, lane)
             track.move(lane, distance_m, time_s, speed_mps)
+        self._note_driven_past(time_s)
+        self._forget_lost(time_s)
+
+    def _note_driven_past(self, time_s: float) -> None:
+        """Notes who stands on an exit while one that came later is farther down: it is no queue."""
+        present = [t for t in self._tracks.values() if t.time_s == time_s and t.lane in self._exits]
+        last: dict[str, TrackedVehicle] = {}  # of those that stand, by lane
+        for one in present:
+            if one.speed_mps < STOPPED_MPS and not one.is_no_queue:
+                before = last.get(one.lane)
+                if before is None or one.distance_m > before.distance_m:
+                    last[one.lane] = one
+        for one in present:
+            other = last.get(one.lane)
+            is_through = self._exits[one.lane] - one.from_m <= _ENTRY_M
+            if other is not None and is_through and one.since_s > other.stands_since_s:
+                other.is_no_queue |= one.distance_m < other.distance_m - _ROOM_M
+
+    def _forget_lost(self, time_s: float) -> None:
+        """Forgets vehicles that were not seen for long, and notes what that says."""
         for name in [n for n, t in self._tracks.items() if time_s - t.time_s > _LOST_AFTER_S]:
             track = self._tracks.pop(name)
             if track.incoming >= 0 and track.distance_m < _HEAD_M:
-                self._note_passage(track, track.time_s)
+                if self._may_have_passed(track):
+                    self._note_passage(track, track.time_s)
             elif self._has_turned_off(track):
                 self._note_choice(track, -1)
+
+    def _may_have_passed(self, track: TrackedVehicle) -> bool:
+        """Whether one that vanished at a stop bar had green or yellow then.
+
+        One that vanished at red is still there: its track was lost, or goes on under another id.
+        """
+        yellow_s = self._model.site.cabinet.yellow_s
+        return bool(track.time_s <= self._last_green_s[track.incoming] + yellow_s)
 
     def _has_turned_off(self, track: TrackedVehicle) -> bool:
         """Whether a vanished vehicle was at the end of a lane that ends before the stop bars.
@@ -339,18 +375,22 @@ class TrafficMemory:
         shares = self.shares
         for lane, track in enumerate(self._firsts(time_s)):
             self._heads[lane] = None
+            self._first_waits[lane] = track is not None and track.speed_mps < STOPPED_MPS
             if track is None:
                 continue
-            own = self._of_lane[lane]
-            usual = np.append(shares[own] * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
             if track.wish is None:
-                track.wish = usual
-            if track.speed_mps < STOPPED_MPS:
+                track.wish = self._usual_wish(lane, shares)
+            if self._first_waits[lane]:
                 self._doubt(track, lane, shown, passed_s)
                 if track.wish[-1] > _PARKED and self._is_seen[lane]:
                     self._note_parked(track)
             if track.distance_m < _HEAD_M:
                 self._heads[lane] = track.wish
+
+    def _usual_wish(self, lane: int, shares: Floats) -> Floats:
+        """Returns the probabilities of what an unknown vehicle of a lane wants, and of nothing."""
+        own = shares[self._of_lane[lane]]
+        return np.append(own * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
 
     def _firsts(self, time_s: float) -> list[TrackedVehicle | None]:
         """Returns the first vehicle before each stop bar (L,) that is not parked."""
@@ -386,10 +426,12 @@ class TrafficMemory:
 
     def _forgive(self, passed_s: float) -> None:
         """Lowers over time the probability that a vehicle is parked: it may have had to wait."""
+        upstream, shares = self._model.approaches.upstream, self.shares
         for track in self._tracks.values():
-            if track.wish is not None and track.wish[-1] > _STUCK_PRIOR:
-                track.wish[-1] += passed_s / _FORGIVEN_S * (_STUCK_PRIOR - track.wish[-1])
-                track.wish /= track.wish.sum()
+            side = upstream.get(track.lane)
+            if side is not None and track.wish is not None and track.wish[-1] > _STUCK_PRIOR:
+                usual = self._usual_wish(self._model.lane_index[side.counts_for], shares)
+                track.wish += passed_s / _FORGIVEN_S * (usual - track.wish)
 
     def _note_service(self, time_s: float, shown: Ints, unseen: Collection[str]) -> None:
         """Notes which movements were served: no vehicle waits, or the green was long enough."""
@@ -401,7 +443,7 @@ class TrafficMemory:
             has_right = self._has_protected if is_seen else self._is_planned_protected
             is_right = shown[index] == PROTECTED or not has_right[index]
             has_moved = time_s - self._last_passage_s[lane] < min_green_s
-            is_empty = self._heads[lane] is None and is_seen
+            is_empty = self._heads[lane] is None and not self._first_waits[lane] and is_seen
             if is_empty or (is_green and (is_right or has_moved)):
                 self.served_s[index] = time_s
 

@@ -17,8 +17,8 @@ class TrackedVehicle:
 
     `wish` are the probabilities of the movements that it wants, the last that of none, once it was
     the first. It is on its lane since `since_s`, from `from_m` on, and has stood since
-    `stands_since_s`. `parked_at` is the lane and the distance to the stop bar at which it is
-    parked, None if it is not.
+    `stands_since_s`; others have driven past it there if it `is_no_queue`. `parked_at` is the lane
+    and the distance to the stop bar at which it is parked, None if it is not.
     """
 
     lane: str
@@ -33,6 +33,7 @@ class TrackedVehicle:
     since_s: float = math.nan
     from_m: float = math.nan
     stands_since_s: float = math.inf
+    is_no_queue: bool = False
     parked_at: tuple[str, float] | None = None
 
     @property
@@ -48,10 +49,12 @@ class TrackedVehicle:
         if lane != self.lane or math.isnan(self.since_s):
             self.since_s, self.from_m = time_s, distance_m
         self.stands_since_s = min(self.stands_since_s, time_s) if stands else math.inf
+        self.is_no_queue &= stands and lane == self.lane
         self.lane, self.distance_m, self.time_s = lane, distance_m, time_s
         self.speed_mps = speed_mps
 
     def has_overtaken(self, other: TrackedVehicle) -> bool:
         """Whether it came from behind another that stood on its lane all the time."""
         is_behind = self.from_m > other.distance_m + _OVERTAKEN_M
-        return other.lane == self.lane and is_behind and other.stands_since_s <= self.since_s
+        stood_there = max(other.stands_since_s, other.since_s) <= self.since_s
+        return other.lane == self.lane and is_behind and stood_there

@@ -77,7 +77,7 @@ ONE_LANE = one_junction(
 MAIN_AND_SIDE = one_junction(
     name="test",
     centre=(0, 0, 0),
-    lanes=[lane(name, [CENTRE, (9, 0, 0)], speed_mps=14) for name in ("main", "side", "out")],
+    lanes=[lane(name, [CENTRE, (120, 0, 0)], speed_mps=14) for name in ("main", "side", "out")],
     signal=signal(
         "j", ("main", "out"), ("side", "out"), conflicts=[(0, 1)], plan=[(30, "Gr"), (30, "rG")]
     ),

@@ -240,9 +240,10 @@ def follow_lanes(
 ) -> None:
     """Moves the means of tracks that are not free along their lanes, behind those ahead of them.
 
-    Solid ones stand in the way of those behind them; free ones do only that. Who does not move is
-    taken to stand if it is `known`, by enough detections, or waits behind another or before a bar.
-    How far off the mean of a track is that was not `seen` in the last frame is bounded by others.
+    Solid ones stand in the way of those behind them; free ones do only that. Of those that were not
+    `seen` in the last frame, who does not move is taken to stand if it is `known`, by enough
+    detections, or waits behind another or before a bar, and how far off its mean is is bounded by
+    others.
     `dims` (N, 4) are z, length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of
     `LaneGraph.lights`. `share` (N,) is multiplied by the probability of the way taken at each fork,
     and becomes 0 where a lane ends on the map.
@@ -293,7 +294,7 @@ def follow_lanes(
         mean[n, 2], mean[n, 4] = heading, 0.0
         _turn(covariance[n], turned, heading)
         waits = gap_m[n] <= START_M and (ahead[n] < 0 or mean[ahead[n], 3] < CREEP_MPS)
-        if mean[n, 3] < STANDS_MPS and (waits or known[n]):
+        if not seen[n] and mean[n, 3] < STANDS_MPS and (waits or known[n]):
             stands = np.eye(6)
             stands[3, 3] = min(STANDS_MPS / np.sqrt(max(covariance[n, 3, 3], 1e-9)), 1.0)
             spread(stands, covariance[n])

@@ -729,6 +729,16 @@ def test_a_hidden_vehicle_waits_at_a_red_light_and_goes_at_green() -> None:
     assert tracks.boxes[0, 0] > 103
 
 
+def test_who_is_seen_to_go_from_a_red_light_between_two_frames_does_not_stand() -> None:
+    tracker = Tracker(CONFIG, crossing())
+    for k in range(10):
+        tracks = tracker.step(k * S, cars((97.0, 0)), NOBODY, {"J": "r"})
+    assert tracks.speeds_mps[0] < 0.3
+    tracks = tracker.step(10 * S, cars((98.2, 0)), NOBODY, {"J": "r"})
+    assert tracks.speeds_mps[0] > 0.8
+    assert tracks.boxes[0, 0] == pytest.approx(98.2, abs=0.3)
+
+
 def test_who_cannot_stop_before_a_light_any_more_goes_on() -> None:
     tracker = Tracker(CONFIG.model_copy(update={"publish_probability": 0.01}), crossing())
     follow(tracker, 12.0, 80)  # 5 m before the bar

@@ -25,6 +25,7 @@ from signal_controller.predictive_discharge import Problem, run
 from signal_controller.predictive_model import PROTECTED, RED, JunctionModel
 from signal_controller.predictive_search import Prices, search
 from signal_controller.predictive_traffic import TrafficMemory
+from signal_controller.tracked_vehicle import TrackedVehicle
 from sim_host.cabinet import SignalCabinet
 from sim_host.compatible_phases import compatible_phases
 from sim_host.config import CabinetConfig
@@ -622,6 +623,120 @@ def test_an_exit_without_room_is_no_green() -> None:
     assert set(blocked) == {"outs"}
     memory.take(1, vehicles(("outs_0", start_m - 6.0, 5.0)), NS)
     assert memory.has_room.all()
+
+
+def test_what_others_drive_past_behind_the_junction_fills_no_exit() -> None:
+    model = JunctionModel(SITE, 7)
+    memory = TrafficMemory(model, 500, 1900)
+    start_m = model.approaches.downstream["outs_0"].start_m
+    ghost = ("outs_0", start_m - 6.0, 0.0)
+    memory.take(0, vehicles(ghost), NS)
+    assert not memory.has_room.all()
+    memory.take(1, vehicles(ghost, ("outs_0", start_m - 12.0, 9.0)), NS)  # came later
+    memory.take(2, vehicles(ghost, ("outs_0", start_m - 21.0, 9.0)), NS)
+    memory.take(3, vehicles(ghost), NS)
+    assert memory.has_room.all()
+    memory.take(4, vehicles(("outs_0", start_m - 6.0, 5.0)), NS)  # it moves after all
+    memory.take(5, vehicles(ghost), NS)
+    assert not memory.has_room.all()
+
+
+def test_who_was_on_the_exit_before_says_nothing_of_one_that_stands_behind() -> None:
+    model = JunctionModel(SITE, 7)
+    memory = TrafficMemory(model, 500, 1900)
+    start_m = model.approaches.downstream["outs_0"].start_m
+    for second in range(4):
+        one = ("outs_0", start_m - 12.0 - 9.0 * second, 9.0)
+        tail = [("outs_0", start_m - 6.0, 0.0)] if second else []
+        memory.take(second, vehicles(one, *tail), NS)
+    assert not memory.has_room.all()
+
+
+def test_a_track_that_is_lost_at_red_has_not_passed_and_makes_nobody_a_ghost() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, lane = TrafficMemory(model, 500, 1900), model.lane_index["e_0"]
+    known = memory.arrivals_per_s[lane]
+    for second in range(30):
+        second_id = "b" if second < 15 else "c"
+        found = vehicles(("e_0", 1.0, 0.0), ("e_0", 8.5 if second else 60.0, 0.0))
+        memory.take(second, replace(found, ids=["a", second_id]), NS)
+    assert memory.arrivals_per_s[lane] < known
+    (phase, *_) = np.flatnonzero(model.status[:, model.lane_of[:, lane] > 0].any(axis=1))
+    assert memory.head_may_go(model.status)[phase, lane] == pytest.approx(0.98)
+
+
+def test_a_track_that_is_lost_at_green_has_passed() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, lane = TrafficMemory(model, 500, 1900), model.lane_index["n_0"]
+    for second in range(12):
+        known = memory.arrivals_per_s[lane]
+        found = vehicles(*([("n_0", 30.0 - 9.0 * second, 9.0)] if second < 4 else []))
+        memory.take(second, found, NS)
+        if memory.arrivals_per_s[lane] > known:
+            return
+    pytest.fail("no passage was noted")
+
+
+def test_who_stood_beside_a_lane_was_not_overtaken_on_it() -> None:
+    stood = TrackedVehicle("n_1", 1, 1.0, 0.0)
+    passer = TrackedVehicle("n_0", 0, 60.0, 5.0)
+    for second in range(11):
+        stood.move("n_1" if second < 9 else "n_0", 1.0, float(second), 0.0)
+        passer.move("n_0", 60.0 - 6.0 * second, 5.0 + second, 6.0)
+    assert stood.lane == passer.lane
+    assert not passer.has_overtaken(stood)
+
+
+def test_a_ghost_is_forgiven_also_where_it_was_certain() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, lane = TrafficMemory(model, 500, 1900), model.lane_index["e_0"]
+    waits = vehicles(("e_0", 1.0, 0.0))
+    memory.take(0, waits, NS)
+    (track,) = memory._tracks.values()
+    assert track.wish is not None
+    track.wish = np.append(np.zeros(len(track.wish) - 1), 1.0)
+    for second in range(1, 121):
+        memory.take(second, waits, NS)
+    assert track.wish[-1] == pytest.approx(0.02 + 0.98 * math.exp(-1), abs=0.02)
+    assert memory.head_may_go(model.status)[:, lane].max() > 0.5
+
+
+def test_who_waits_farther_from_the_stop_bar_is_served_in_bounded_time_too() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, movement = TrafficMemory(model, 500, 1900), 0
+    lane = model.movements[movement].lane
+    name = model.lanes[lane]
+    other = next(p for p in PHASES if p[LANES.index(name)] == "r")
+    for second in range(60):
+        memory.take(second, vehicles((name, 14.0, 0.0)), other)
+    assert 59 - memory.served_s[movement] > 50
+    memory.take(60, vehicles((name, 100.0, 12.0)), other)
+    assert memory.served_s[movement] == 60
+
+
+def test_a_movement_that_no_phase_serves_takes_the_bound_from_nobody() -> None:
+    known = policy()
+    planner = known.planner
+    known.decide(seen(0, NS, vehicles()))
+    assert planner._overdue_phase(10, 0) is None
+    planner.memory.served_s[:] = 500
+    served = int(np.flatnonzero(planner.model.status[2] == PROTECTED)[0])
+    planner.memory.served_s[served] = 300
+    never = next(n for n in range(len(planner.model.movements)) if n != served)
+    planner.model.status[:, never] = RED
+    planner.memory.served_s[never] = 0
+    found = planner._overdue_phase(500, 0)
+    assert found is not None
+    assert planner.model.status[found, served] == PROTECTED
+
+
+def test_a_vehicle_beyond_what_can_be_known_is_part_of_the_inflow_alone() -> None:
+    planner = policy().planner
+    near, far = vehicles(("n_0", 150.0, 12.0)), vehicles(("n_0", 150.0, 12.0), ("n_0", 204.0, 12.0))
+    planner.request(0.0, far, green(NS, 0), {})
+    assert planner.arrivals(planner.expected(far)).sum() == pytest.approx(
+        planner.arrivals(planner.expected(near)).sum()
+    )
 
 
 def test_vehicles_without_ids_are_told_apart_and_their_speeds_measured() -> None:
