@@ -10,7 +10,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from protocol.approaches import Approaches
+from signal_controller.exits import Exits
 from signal_controller.observation import LaneVehicles
 from signal_controller.parked_places import ParkedPlaces
 from signal_controller.predictive_model import (
@@ -38,8 +38,6 @@ _STUCK_PRIOR = 0.02  # that it wants nothing: a ghost, a parked car, a breakdown
 _PARKED = 0.5  # it is taken for parked from such a probability on
 _FORGIVEN_S = 120.0  # in which that probability recovers
 _GREENS = (PROTECTED, PERMITTED)
-_ROOM_M = 8.0  # that an exit needs for one more vehicle
-_ENTRY_M = 20.0  # of an exit: who is first seen so near its start comes from the junction
 _SHORT_M = 6.0  # on a shorter lane before a stop bar no middle of a vehicle may ever be seen
 _ACCELERATION_MPS2 = 2.0
 _LOST_AFTER_S = 2.0  # a vehicle unseen for so long is forgotten
@@ -79,7 +77,7 @@ class TrafficMemory:
         self._first_waits = np.zeros(lanes, np.bool_)  # also farther from the stop bar
         self._tracks: dict[str, TrackedVehicle] = {}
         self._parked_places = ParkedPlaces()
-        self._exits = _exit_starts(model)
+        self._exits = Exits(model)
         self._ends_m = _lane_ends(model)
         self._bars = _bars(model, self._ends_m)
         planned = len(model.site.signal.planned_greens)
@@ -88,7 +86,12 @@ class TrafficMemory:
         self._time_s: float | None = None
 
         around = model.approaches
-        self.watched_lanes = {*around.upstream, *around.downstream, *around.inside, *self._exits}
+        self.watched_lanes = {
+            *around.upstream,
+            *around.downstream,
+            *around.inside,
+            *self._exits.starts_m,
+        }
 
     @property
     def lane_green_since_s(self) -> Floats:
@@ -186,7 +189,7 @@ class TrafficMemory:
         self._passed *= fading
         self.served_s[np.isnan(self.served_s)] = time_s
         shown = self._note_signal(time_s, state)
-        self._note_room(vehicles)
+        self.has_room = self._exits.room(vehicles, self._tracks)
         self._follow(time_s, vehicles)
         self._find_parked(time_s)
         self._forgive(passed_s)
@@ -221,26 +224,6 @@ class TrafficMemory:
         self._last_green_s[np.isfinite(self.lane_green_since_s)] = time_s
         return shown
 
-    def _note_room(self, vehicles: LaneVehicles) -> None:
-        tails_m: dict[str, float] = {}
-        rows = zip(
-            vehicles.ids,
-            vehicles.lanes,
-            vehicles.distances_m.tolist(),
-            vehicles.lengths_m.tolist(),
-            vehicles.speeds_mps.tolist(),
-            strict=True,
-        )
-        for name, lane, distance_m, length_m, speed_mps in rows:
-            track = self._tracks.get(name)
-            is_queue = track is None or track.lane != lane or not track.is_no_queue
-            if lane in self._exits and speed_mps < STOPPED_MPS and is_queue:
-                tail_m = self._exits[lane] - distance_m - length_m
-                tails_m[lane] = min(tail_m, tails_m.get(lane, math.inf))
-        for index, movement in enumerate(self._model.movements):
-            room_m = [tails_m.get(lane, math.inf) for lane in movement.exit_lanes]
-            self.has_room[index] = max(room_m) >= _ROOM_M
-
     def _follow(self, time_s: float, vehicles: LaneVehicles) -> None:
         upstream = self._model.approaches.upstream
         rows = zip(
@@ -267,23 +250,8 @@ class TrafficMemory:
             if track.passed >= 0:
                 self._note_exit(track, lane)
             track.move(lane, distance_m, time_s, speed_mps)
-        self._note_driven_past(time_s)
+        self._exits.note_driven_past(time_s, self._tracks.values())
         self._forget_lost(time_s)
-
-    def _note_driven_past(self, time_s: float) -> None:
-        """Notes who stands on an exit while one that came later is farther down: it is no queue."""
-        present = [t for t in self._tracks.values() if t.time_s == time_s and t.lane in self._exits]
-        last: dict[str, TrackedVehicle] = {}  # of those that stand, by lane
-        for one in present:
-            if one.speed_mps < STOPPED_MPS and not one.is_no_queue:
-                before = last.get(one.lane)
-                if before is None or one.distance_m > before.distance_m:
-                    last[one.lane] = one
-        for one in present:
-            other = last.get(one.lane)
-            is_through = self._exits[one.lane] - one.from_m <= _ENTRY_M
-            if other is not None and is_through and one.since_s > other.stands_since_s:
-                other.is_no_queue |= one.distance_m < other.distance_m - _ROOM_M
 
     def _forget_lost(self, time_s: float) -> None:
         """Forgets vehicles that were not seen for long, and notes what that says."""
@@ -446,25 +414,6 @@ class TrafficMemory:
             is_empty = self._heads[lane] is None and not self._first_waits[lane] and is_seen
             if is_empty or (is_green and (is_right or has_moved)):
                 self.served_s[index] = time_s
-
-
-def _exit_starts(model: JunctionModel) -> dict[str, float]:
-    """Returns for each exit lane the distance of its start to the stop bar, as vehicles have it."""
-    road_map, own = model.site.road_map, model.site.signal.tls
-    others: dict[str, Approaches] = {}
-    found = {}
-    for lane in {name for one in model.movements for name in one.exit_lanes}:
-        known = road_map.by_id.get(lane)
-        if known is None:
-            continue
-        tls = known.tls or own
-        if tls != own and tls in road_map.by_tls and tls not in others:
-            others[tls] = Approaches(road_map, road_map.by_tls[tls])
-        around = others.get(tls, model.approaches)
-        side = around.upstream.get(lane) or around.downstream.get(lane)
-        if side is not None:
-            found[lane] = side.start_m
-    return found
 
 
 def _lane_ends(model: JunctionModel) -> dict[str, float]:
