@@ -347,18 +347,14 @@ class TrafficMemory:
             if track is None:
                 continue
             if track.wish is None:
-                track.wish = self._usual_wish(lane, shares)
+                usual = shares[self._of_lane[lane]] * (1 - _STUCK_PRIOR)
+                track.wish = np.append(usual, _STUCK_PRIOR)
             if self._first_waits[lane]:
                 self._doubt(track, lane, shown, passed_s)
                 if track.wish[-1] > _PARKED and self._is_seen[lane]:
                     self._note_parked(track)
             if track.distance_m < _HEAD_M:
                 self._heads[lane] = track.wish
-
-    def _usual_wish(self, lane: int, shares: Floats) -> Floats:
-        """Returns the probabilities of what an unknown vehicle of a lane wants, and of nothing."""
-        own = shares[self._of_lane[lane]]
-        return np.append(own * (1 - _STUCK_PRIOR), _STUCK_PRIOR)
 
     def _firsts(self, time_s: float) -> list[TrackedVehicle | None]:
         """Returns the first vehicle before each stop bar (L,) that is not parked."""
@@ -393,13 +389,20 @@ class TrafficMemory:
         track.wish /= track.wish.sum()
 
     def _forgive(self, passed_s: float) -> None:
-        """Lowers over time the probability that a vehicle is parked: it may have had to wait."""
+        """Lowers over time the probability that a vehicle is parked: it may have had to wait.
+
+        What it wants else stays as it is; of one of which that is not known it is what is usual.
+        """
         upstream, shares = self._model.approaches.upstream, self.shares
         for track in self._tracks.values():
             side = upstream.get(track.lane)
-            if side is not None and track.wish is not None and track.wish[-1] > _STUCK_PRIOR:
-                usual = self._usual_wish(self._model.lane_index[side.counts_for], shares)
-                track.wish += passed_s / _FORGIVEN_S * (usual - track.wish)
+            if side is None or track.wish is None or track.wish[-1] <= _STUCK_PRIOR:
+                continue
+            own = self._of_lane[self._model.lane_index[side.counts_for]]
+            wants = track.wish[:-1] if track.wish[:-1].sum() > 0.0 else shares[own]
+            freed = passed_s / _FORGIVEN_S * (track.wish[-1] - _STUCK_PRIOR)
+            track.wish = np.append(wants * (1 - track.wish[-1] + freed) / wants.sum(), 0.0)
+            track.wish[-1] = 1.0 - track.wish.sum()
 
     def _note_service(self, time_s: float, shown: Ints, unseen: Collection[str]) -> None:
         """Notes which movements were served: no vehicle waits, or the green was long enough."""
