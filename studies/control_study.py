@@ -338,7 +338,7 @@ def _case(
         study.duration_s,
         warmup_s=study.warmup_s,
         junctions=tuple(study.junctions),
-        cabinet={**study.cabinet},
+        cabinet={str(name): value for name, value in study.cabinet.items()},
     )
     if policy == WEBSTER:
         case = replace(case, flows_vph=flows[group])
