@@ -64,7 +64,8 @@ class Exits:
                     last[one.lane] = one
         for one in present:
             other = last.get(one.lane)
-            is_through = self.starts_m[one.lane] - one.from_m <= _ENTRY_M
+            drives = one.speed_mps >= STOPPED_MPS  # in a queue one that stands may get another id
+            is_through = drives and self.starts_m[one.lane] - one.from_m <= _ENTRY_M
             if other is not None and is_through and one.since_s > other.stands_since_s:
                 other.is_no_queue |= one.distance_m < other.distance_m - _ROOM_M
 

@@ -266,8 +266,13 @@ class TrafficMemory:
     def _may_have_passed(self, track: TrackedVehicle) -> bool:
         """Whether one that vanished at a stop bar had green or yellow then.
 
-        One that vanished at red is still there: its track was lost, or goes on under another id.
+        One that vanished at red is still there: its track was lost, or goes on under another id. So
+        is one that stood when it was last seen, if green began later.
         """
+        if track.speed_mps < STOPPED_MPS:
+            since_s = float(self.lane_green_since_s[track.incoming])
+            if track.time_s < since_s < math.inf:
+                return False
         yellow_s = self._model.site.cabinet.yellow_s
         return bool(track.time_s <= self._last_green_s[track.incoming] + yellow_s)
 
@@ -343,13 +348,15 @@ class TrafficMemory:
         shares = self.shares
         for lane, track in enumerate(self._firsts(time_s)):
             self._heads[lane] = None
-            self._first_waits[lane] = track is not None and track.speed_mps < STOPPED_MPS
+            self._first_waits[lane] = False
             if track is None:
                 continue
+            stands, reach_m = track.speed_mps < STOPPED_MPS, self._model.reach_m[lane]
+            self._first_waits[lane] = stands and track.distance_m <= reach_m
             if track.wish is None:
                 usual = shares[self._of_lane[lane]] * (1 - _STUCK_PRIOR)
                 track.wish = np.append(usual, _STUCK_PRIOR)
-            if self._first_waits[lane]:
+            if stands:
                 self._doubt(track, lane, shown, passed_s)
                 if track.wish[-1] > _PARKED and self._is_seen[lane]:
                     self._note_parked(track)

@@ -60,7 +60,9 @@ def run_comparison(
     Raises:
         ConfigError: a run cannot be made, or no vehicle drives.
     """
-    results = run_control_study(_baselines(comparison), folder, processes, report, _TUNED)
+    study = _baselines(comparison)
+    study.check()
+    results = run_control_study(study, folder, processes, report, _TUNED)
     found = [
         Variant(
             one.policy,

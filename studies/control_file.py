@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -12,6 +13,7 @@ from pydantic import Field, ValidationError
 from protocol.config import Section, is_file
 from protocol.errors import ConfigError
 from sim_host.config import CabinetConfig, NetworkName
+from studies.control_baselines import TUNINGS
 from studies.sweep.study_file import Name, Seed
 
 BENCH = "control"
@@ -83,6 +85,13 @@ class ControlStudy(Section):
             one = error.errors()[0]
             where = ".".join(map(str, ("cabinet", *one["loc"])))
             raise ConfigError(f"study {self.name}: {where}: {one['msg']}") from None
+        tried = [one for tunings in TUNINGS.values() for one in tunings]
+        most_s = min(one.cabinet.get("max_green_s", math.inf) for one in tried)
+        if self.cabinet.get("min_green_s", 0.0) > most_s:
+            raise ConfigError(
+                f"study {self.name}: cabinet.min_green_s: must be at most {most_s:g}, the shortest "
+                "of the longest greens that baselines are tried with"
+            )
         both = sorted(set(self.seeds) & set(self.tuning_seeds))
         if both:
             raise ConfigError(f"study {self.name}: seed {both[0]} is for tuning and reported")

@@ -665,6 +665,36 @@ def test_a_track_that_is_lost_at_red_has_not_passed_and_makes_nobody_a_ghost() -
     assert memory.head_may_go(model.status)[phase, lane] == pytest.approx(0.98)
 
 
+def test_a_track_that_is_lost_just_before_green_has_not_passed() -> None:
+    model = JunctionModel(SITE, 7)
+    memory, lane = TrafficMemory(model, 500, 1900), model.lane_index["e_0"]
+    for second in range(14):
+        found = vehicles(("e_0", 1.0, 0.0), ("e_0", 8.5 if second else 60.0, 0.0))
+        ids = ["a", "b" if second < 10 else "c"]
+        memory.take(second, replace(found, ids=ids), NS if second < 11 else EW)
+    assert memory.head_may_go(model.status)[2, lane] == pytest.approx(0.98, abs=0.01)
+
+
+def test_in_a_queue_on_an_exit_another_id_makes_no_room() -> None:
+    model = JunctionModel(SITE, 7)
+    memory = TrafficMemory(model, 500, 1900)
+    start_m = model.approaches.downstream["outs_0"].start_m
+    for second in range(8):
+        found = vehicles(*(("outs_0", start_m - m, 0.0) for m in (5.5, 13.0, 19.5)))
+        memory.take(second, replace(found, ids=["a", "b", "c" if second < 3 else "d"]), NS)
+    assert not memory.has_room.all()
+
+
+def test_who_stands_beyond_what_can_be_known_forces_no_phase() -> None:
+    model = JunctionModel(replace(SITE, upstream_m=60.0), 7)
+    memory, movement = TrafficMemory(model, 500, 1900), 0
+    name = model.lanes[model.movements[movement].lane]
+    other = next(p for p in PHASES if p[LANES.index(name)] == "r")
+    for second in range(30):
+        memory.take(second, vehicles((name, 150.0, 0.0)), other)
+    assert memory.served_s[movement] == 29
+
+
 def test_a_track_that_is_lost_at_green_has_passed() -> None:
     model = JunctionModel(SITE, 7)
     memory, lane = TrafficMemory(model, 500, 1900), model.lane_index["n_0"]

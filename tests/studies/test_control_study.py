@@ -55,6 +55,7 @@ def test_the_built_in_study_is_of_its_kind_and_others_are_not() -> None:
             r"study control: cabinet\.yellow_s: .* less than or equal to 20",
         ),
         ({"cabinet": {"max_green_s": 60}}, "cabinet.max_green_s"),
+        ({"cabinet": {"min_green_s": 26}}, "cabinet.min_green_s: must be at most 25"),
     ],
 )
 def test_what_makes_no_study_is_refused(change: dict, message: str) -> None:
