@@ -242,8 +242,7 @@ def follow_lanes(
 
     Solid ones stand in the way of those behind them; free ones do only that. Of those that were not
     `seen` in the last frame, who does not move is taken to stand if it is `known`, by enough
-    detections, or waits behind another or before a bar, and how far off its mean is is bounded by
-    others.
+    detections, or waits behind another or before a bar; others bound the error of its mean.
     `dims` (N, 4) are z, length, width, height; `cruise` (N,) of `TrackStates`, `lights` (E,) of
     `LaneGraph.lights`. `share` (N,) is multiplied by the probability of the way taken at each fork,
     and becomes 0 where a lane ends on the map.
