@@ -12,7 +12,7 @@ from protocol.errors import ConfigError
 from studies import control_study
 from studies.control_baselines import OWN_SETTINGS, TUNINGS, Tuning, worth_trying
 from studies.control_case import ControlCase
-from studies.control_file import ControlStudy, read_control_study
+from studies.control_file import MOST_MIN_GREEN_S, ControlStudy, read_control_study
 from studies.control_page import control_page
 from studies.control_study import Group, PolicyResult, paired, summaries
 from studies.perceived_study import perceived_cases
@@ -139,6 +139,7 @@ def test_every_setting_that_is_tried_is_one_of_its_baseline() -> None:
     for policy, tunings in TUNINGS.items():
         for tuning in tunings:
             assert set(tuning.own) <= set(OWN_SETTINGS[policy])
+            assert tuning.cabinet.get("max_green_s", MOST_MIN_GREEN_S) >= MOST_MIN_GREEN_S
 
 
 def test_compatible_phases_are_tried_where_there_are_any() -> None:
