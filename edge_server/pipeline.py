@@ -37,7 +37,7 @@ from edge_server.frame import (
     sensor_places,
 )
 from edge_server.fusion import Fusion, fusion_of
-from edge_server.lanes import CoverageShares, LaneCoverage, LaneIndex
+from edge_server.lanes import Covered, LaneCoverage, LaneIndex
 from edge_server.misbehaviour import Check
 from edge_server.placing import Decode, Place, PlaceByReference
 from edge_server.tracking import Track
@@ -345,7 +345,7 @@ class Count(FrameStage):
         )
         units = passenger_car_units(state.tracks.classes)
         pcu_upstream, pcu_downstream = self._lanes.weigh(positions, units, tls, **reach)
-        coverage_upstream, coverage_downstream = self._covered(state, tls)
+        covered = self._covered(state, tls)
         return LaneCounts(
             frame=frame.frame,
             sim_time_ns=frame.sim_time_ns,
@@ -360,8 +360,9 @@ class Count(FrameStage):
             pcu_downstream={lane: round(value, 1) for lane, value in pcu_downstream.items()},
             coasted_upstream=coasted_upstream,
             coasted_downstream=coasted_downstream,
-            coverage_upstream=coverage_upstream,
-            coverage_downstream=coverage_downstream,
+            coverage_upstream=covered.upstream,
+            coverage_downstream=covered.downstream,
+            coverage_from_bar=covered.from_bar,
             delay_sim_ns=frame.delay_sim_ns,
         )
 
@@ -371,12 +372,12 @@ class Count(FrameStage):
         is_known = state.frame.sim_time_ns - tracks.first_seen_ns >= SPEED_KNOWN_NS
         return np.asarray(is_known & (np.abs(tracks.speeds_mps) < limit_mps))
 
-    def _covered(self, state: FrameState, tls: str) -> tuple[CoverageShares, CoverageShares]:
+    def _covered(self, state: FrameState, tls: str) -> Covered:
         """Returns how much of each lane was covered by sensors whose scan or boxes arrived.
 
         Where there are LiDARs, a frame to which none contributed covers nothing. Where there are
         none, vehicles only report themselves, and coverage is undefined.
         """
         if not self._has_lidars:
-            return {}, {}
+            return Covered({}, {}, {})
         return self._coverage[tls].shares(state.sensors, self._config.coverage_range_m)

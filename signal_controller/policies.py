@@ -265,11 +265,11 @@ class Predictive:
 
     def _decide(self, observation: Observation) -> Decision:
         counts, shown = observation.counts, observation.shown
-        unknown = tuple(uncovered_lanes(self._site.lanes, counts.coverage_upstream))
+        unknown = tuple(uncovered_lanes(self._site.lanes, counts.coverage_from_bar))
         if observation.vehicles is None or shown is None:
             return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)
         state = self.planner.request(
-            counts.sim_time_ns / 1e9, observation.vehicles, shown, counts.coverage_upstream
+            counts.sim_time_ns / 1e9, observation.vehicles, shown, counts.coverage_from_bar
         )
         if self.planner.queues.blind_s >= self._timeout_s:
             return fallback_plan(self._site.signal, counts.sim_time_ns, unknown)

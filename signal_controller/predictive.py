@@ -135,8 +135,8 @@ class PredictivePlanner:
             time_s: of the vehicles and of what is shown.
             vehicles: on the lanes of the signal and others.
             shown: what the signal shows.
-            coverage: share of each lane before the stop bars that sensors cover, 1 where it is not
-                named; empty where vehicles report themselves alone.
+            coverage: share of each lane that sensors cover from the stop bar on without a gap, 1
+                where it is not named; empty where vehicles report themselves alone.
         """
         vehicles = self.vehicles = self._association.take(time_s, self._nearest(vehicles))
         model, memory = self.model, self.memory

@@ -91,7 +91,7 @@ class QueueFilter:
     """Follows the queues of a signal's lanes from frame to frame.
 
     Attributes:
-        coverage: (L,) part of each lane, from the stop bar on, that sensors see.
+        coverage: (L,) part of each lane, from the stop bar on, that sensors see without a gap.
     """
 
     def __init__(self, model: JunctionModel, inflow_vph: float, saturation_vph: float) -> None:
@@ -173,7 +173,8 @@ class QueueFilter:
             time_s: of the frame.
             vehicles: all that are known, with ids.
             open_shares: (L, 2) of a lane's vehicles that may go, with right of way and yielding.
-            coverage: share by lane that sensors cover; without any, vehicles report themselves.
+            coverage: share by lane that sensors cover from the stop bar on; without any, vehicles
+                report themselves.
             parked: ids of those that stand beside a lane, in no queue.
         """
         passed_s = 0.0 if self._time_s is None else max(0.0, min(10.0, time_s - self._time_s))

@@ -284,6 +284,7 @@ class _Controller:
             stationary_upstream=waiting,
             stationary_downstream=standing,
             coverage_upstream=dict.fromkeys(incoming if case.reporting == 1 else [], 1.0),
+            coverage_from_bar=dict.fromkeys(incoming if case.reporting == 1 else [], 1.0),
             coverage_downstream=dict.fromkeys(outgoing if case.reporting == 1 else [], 1.0),
         )
 

@@ -180,7 +180,9 @@ class LaneCounts(Message):
     lorry is worth several cars), as `pcu`. Those that no sensor saw in this frame, whose tracks
     coast, are counted once more, as `coasted`. `coverage` is the share of a lane's reach
     within the range of a LiDAR whose scan was used, so that 0 is "not observed"; empty where it is
-    unknown: agents send boxes of their own, or none has a LiDAR.
+    unknown: agents send boxes of their own, or none has a LiDAR. `coverage_from_bar` is the part of
+    the upstream one from the stop bar on to its first gap: who sees a lane's far end alone says
+    nothing of its queue.
     """
 
     kind: ClassVar[int] = 12
@@ -199,6 +201,7 @@ class LaneCounts(Message):
     coasted_downstream: Counts = Field({})
     coverage_upstream: CoverageShares = Field({})
     coverage_downstream: CoverageShares = Field({})
+    coverage_from_bar: CoverageShares = Field({})
     delay_sim_ns: DelayNs | None = None
 
 

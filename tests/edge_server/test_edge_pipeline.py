@@ -301,6 +301,7 @@ def test_counts_carry_the_coverage_of_both_sides_and_the_frames_delay(road_map: 
     assert counts.delay_sim_ns == 30
     assert counts.coverage_upstream == {"in_0": 1, "in_1": 1, "side_0": 1}
     assert counts.coverage_downstream == {"out_0": 1, "out_1": 1}
+    assert counts.coverage_from_bar == counts.coverage_upstream
 
 
 def test_without_the_misbehaviour_check_it_is_no_stage(road_map: RoadMap) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from edge_server.lanes import LaneCoverage
+from edge_server.lanes import Covered, LaneCoverage
 from protocol.approaches import Approaches
 from protocol.roadmap import RoadMap
 from tests.roads import lane, one_junction, signal, straight_road
@@ -25,13 +25,41 @@ def sight() -> LaneCoverage:
 
 
 def test_a_sensor_at_the_stop_bar_sees_as_far_as_it_is_trusted(sight):
-    upstream, downstream = sight.shares(np.zeros((1, 2)), 50.0)
-    assert upstream == {"in": pytest.approx(0.45, abs=0.03)}  # the stop bar lies at -5 m
-    assert downstream == {"out": pytest.approx(0.5, abs=0.06)}
+    found = sight.shares(np.zeros((1, 2)), 50.0)
+    assert found.upstream == {"in": pytest.approx(0.45, abs=0.03)}  # the stop bar lies at -5 m
+    assert found.downstream == {"out": pytest.approx(0.5, abs=0.06)}
+    assert found.from_bar == found.upstream
 
 
 def test_nobody_sees_nothing(sight):
-    assert sight.shares(NOBODY, 50.0) == ({"in": 0.0}, {"out": 0.0})
+    assert sight.shares(NOBODY, 50.0) == Covered({"in": 0.0}, {"out": 0.0}, {"in": 0.0})
+
+
+def test_a_lane_is_seen_from_its_stop_bar_on_as_far_as_there_is_no_gap(sight):
+    far_m, near_m = [-80.0, 0.0], [0.0, 0.0]  # of the lane, 5 to 105 m before the bar
+    assert sight.shares(np.array([far_m]), 20.0) == Covered({"in": 0.4}, {"out": 0.0}, {"in": 0.0})
+    both = sight.shares(np.array([far_m, near_m]), 20.0)
+    assert both.upstream == {"in": 0.52}
+    assert both.from_bar == {"in": 0.12}
+    assert sight.shares(np.array([near_m]), 20.0).upstream == both.from_bar
+    whole = sight.shares(np.array([far_m, near_m, [-40.0, 0.0]]), 26.0)
+    assert whole.from_bar == whole.upstream == {"in": 1.0}
+
+
+def test_where_two_lanes_lead_to_one_a_gap_in_either_counts():
+    lanes = [
+        lane("in", [(-40, 0, 0), (0, 0, 0)], "out", length_m=40),
+        lane("a", [(-80, 0, 0), (-40, 0, 0)], "in", length_m=40),
+        lane("b", [(-40, 40, 0), (-40, 0, 0)], "in", length_m=40),
+        lane("out", [(0, 0, 0), (100, 0, 0)]),
+    ]
+    road = one_junction(
+        name="fork", centre=(0, 0, 0), lanes=lanes, signal=signal("j", ("in", "out")), junction=[]
+    )
+    seen = LaneCoverage(road, around(road), upstream_m=80, downstream_m=100)
+    found = seen.shares(np.array([[-20.0, 0.0], [-60.0, 0.0]]), 21.0)
+    assert found.upstream == {"in": 0.733}  # 10 + 10 + 2 of 30
+    assert found.from_bar == {"in": pytest.approx(0.5, abs=0.04)}  # up to 8 m behind the fork
 
 
 def test_two_who_see_the_same_see_no_more(sight):
@@ -40,32 +68,33 @@ def test_two_who_see_the_same_see_no_more(sight):
 
 
 def test_each_adds_what_the_others_do_not_see(sight):
-    upstream, _ = sight.shares(np.array([[0.0, 0.0], [-100.0, 0.0]]), 50.0)
-    assert upstream == {"in": 1.0}
+    found = sight.shares(np.array([[0.0, 0.0], [-100.0, 0.0]]), 50.0)
+    assert found.upstream == {"in": 1.0}
 
 
 def test_more_trust_never_sees_less(sight):
-    found = [sight.shares(np.array([[-30.0, 5.0]]), m)[0]["in"] for m in (1, 10, 30, 60, 200)]
+    found = [sight.shares(np.array([[-30.0, 5.0]]), m).upstream["in"] for m in (1, 10, 30, 60, 200)]
     assert found == sorted(found)
     assert found[-1] == 1.0
 
 
 def test_the_share_is_that_of_places_every_4_m_whose_distance_is_within_range(sight):
-    upstream, _ = sight.shares(np.array([[-53.0, 30.0]]), 50.0)  # as far as 40 m along the lane
-    assert upstream == {"in": 0.84}  # 21 of 25, both ends included
-    _, downstream = sight.shares(np.array([[45.0, -30.0]]), 50.0)
-    assert downstream == {"out": 0.8}  # 20 of 25
+    found = sight.shares(np.array([[-53.0, 30.0]]), 50.0)  # as far as 40 m along the lane
+    assert found.upstream == {"in": 0.84}  # 21 of 25, both ends included
+    found = sight.shares(np.array([[45.0, -30.0]]), 50.0)
+    assert found.downstream == {"out": 0.8}  # 20 of 25
 
 
 def test_shares_have_three_digits_and_a_lane_without_a_place_has_none():
     road = straight_road()
     lanes = around(road)
     short = LaneCoverage(road, lanes, upstream_m=12, downstream_m=100)
-    assert short.shares(np.array([[-9.0, 0.0]]), 1.0)[0] == {"in": 0.333}
+    assert short.shares(np.array([[-9.0, 0.0]]), 1.0).upstream == {"in": 0.333}
     none = LaneCoverage(road, lanes, upstream_m=0.5, downstream_m=100)
-    assert none.shares(np.array([[0.0, 0.0]]), 200.0) == ({}, {"out": 1.0})
+    assert none.shares(np.array([[0.0, 0.0]]), 200.0) == Covered({}, {"out": 1.0}, {})
     none_behind = LaneCoverage(road, lanes, upstream_m=12, downstream_m=0)
-    assert none_behind.shares(np.array([[0.0, 0.0]]), 200.0) == ({"in": 1.0}, {})
+    all_of_it = Covered({"in": 1.0}, {}, {"in": 1.0})
+    assert none_behind.shares(np.array([[0.0, 0.0]]), 200.0) == all_of_it
 
 
 def test_places_follow_a_lane_around_a_bend_and_sensors_see_their_own_side():
@@ -75,6 +104,6 @@ def test_places_follow_a_lane_around_a_bend_and_sensors_see_their_own_side():
         signal=signal("j", ("in", "out")), junction=[],
     )  # fmt: skip
     seen = LaneCoverage(road, around(road), upstream_m=108, downstream_m=100)
-    assert seen.shares(np.array([[-60.0, 48.0]]), 24.0)[0] == {"in": 0.222}  # 6 of 27
-    assert seen.shares(np.array([[-60.0, -48.0]]), 24.0)[0] == {"in": 0.0}
-    assert seen.shares(np.array([[0.0, 0.0]]), 24.0)[0] == {"in": 0.222}
+    assert seen.shares(np.array([[-60.0, 48.0]]), 24.0).upstream == {"in": 0.222}  # 6 of 27
+    assert seen.shares(np.array([[-60.0, -48.0]]), 24.0).upstream == {"in": 0.0}
+    assert seen.shares(np.array([[0.0, 0.0]]), 24.0).upstream == {"in": 0.222}

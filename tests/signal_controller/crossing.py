@@ -97,7 +97,7 @@ def counts(frame: int, time_ns: int, **coverage: float) -> LaneCounts:
         complete=True,
         upstream=dict.fromkeys(LANES, 0),
         downstream={},
-        coverage_upstream=coverage,
+        coverage_from_bar=coverage,
     )
 
 

@@ -456,6 +456,18 @@ def test_people_get_their_least_green() -> None:
     assert asked[9] != NS + "G"
 
 
+def test_who_sees_a_lanes_far_end_alone_does_not_end_the_queue_at_its_stop_bar() -> None:
+    nobody, passes_by = policy(), policy()
+    for second in range(60, 100):
+        blind = counts(second, second * S, **dict.fromkeys(LANES, 0.0))
+        far = blind.model_copy(update={"coverage_upstream": dict.fromkeys(LANES, 0.75)})
+        for one, known in ((nobody, blind), (passes_by, far if second % 5 == 0 else blind)):
+            one.decide(Observation(known, green(NS, second * S), vehicles(("e_0", 90.0, 9.0))))
+    queues = passes_by.planner.queues.expected()
+    assert queues == pytest.approx(nobody.planner.queues.expected())
+    assert queues.max() > 1
+
+
 def test_without_a_lane_in_sight_the_plan_is_asked_for() -> None:
     blind = Predictive(SignalConfig(estimator_timeout_s=1), SITE)
     dark = dict.fromkeys(LANES, 0.0)

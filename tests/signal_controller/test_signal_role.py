@@ -63,6 +63,7 @@ class Rig:
             upstream={"main": main, "side": side},
             downstream={"out": 0},
             coverage_upstream={} if seen is None else {"main": seen, "side": seen},
+            coverage_from_bar={} if seen is None else {"main": seen, "side": seen},
         )
         self.others.publish("lanes", counts, region="r0", tls="j")
 
