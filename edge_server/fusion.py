@@ -24,6 +24,7 @@ from perception.roadway import LEVEL_M
 from protocol.messages import AgentPose, Equipment, ObjectClass
 from protocol.plugins import Plugin
 
+HEIGHT_SLACK = 6.0  # three deviations of a height, which is twice as uncertain as the position
 CERTAIN_STD_M = 0.5  # poses better than this determine by themselves which box is the agent's
 
 
@@ -114,6 +115,8 @@ def join(parts: Sequence[Vehicles], *, centres: Floats, config: FusionConfig) ->
     both = own + left.take(_ranked(left, centres))
     gone = np.zeros(len(both), np.bool_)
     same = _same(both.boxes, both.boxes, config) & _alike(both.classes)
+    if config.rule != "radius":
+        same &= _overlap(both.boxes) | ~_with_two_wheeler(both.classes)
     for index in range(len(both)):
         if not gone[index] and both.position_std_m[index] <= CERTAIN_STD_M:
             later = max(len(own), index + 1)
@@ -169,13 +172,16 @@ def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
     Pairs are made nearest first, up to a standard deviation more than the rule allows.
     """
     claimed = np.zeros(len(found), np.bool_)
+    is_vehicle = found.classes != ObjectClass.PEDESTRIAN
     pairs: list[tuple[float, int, int]] = []
     for index in range(len(own)):
         std_m = float(own.position_std_m[index])
         if std_m > CERTAIN_STD_M:
             near = _same(own.boxes[index : index + 1], found.boxes, config, slack_m=std_m)[0]
             gaps_m = np.linalg.norm(found.boxes[:, :2] - own.boxes[index, :2], axis=1)
-            pairs += [(float(gaps_m[box]), index, int(box)) for box in np.flatnonzero(near)]
+            gaps_m += np.maximum(np.abs(found.boxes[:, 2] - own.boxes[index, 2]) - LEVEL_M, 0.0)
+            chosen = np.flatnonzero(near & is_vehicle)
+            pairs += [(float(gaps_m[box]), index, int(box)) for box in chosen]
     served: set[int] = set()
     for _, index, box in sorted(pairs):
         if index not in served and not claimed[box]:
@@ -187,7 +193,7 @@ def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
 def _same(boxes: Floats, others: Floats, config: FusionConfig, *, slack_m: float = 0.0) -> Bools:
     """Whether each of the others (M, 7) is the same vehicle as each of these boxes (N, 7)."""
     x, y, z = (others[:, axis] - boxes[:, axis : axis + 1] for axis in range(3))
-    level = np.abs(z) < LEVEL_M
+    level = np.abs(z) < LEVEL_M + HEIGHT_SLACK * slack_m
     if config.rule == "radius":
         return np.asarray(level & (np.hypot(x, y) < config.duplicate_m + slack_m))
     cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
@@ -195,6 +201,21 @@ def _same(boxes: Floats, others: Floats, config: FusionConfig, *, slack_m: float
     half_m = np.maximum(boxes[:, 3:4], others[:, 3]) / 2  # a part of a lorry lies anywhere in it
     along_m = np.maximum(config.duplicate_m, half_m) + slack_m
     return np.asarray(level & (along < along_m) & (across < config.across_m + slack_m))
+
+
+def _overlap(boxes: Floats) -> Bools:
+    """Whether each of some boxes (N, 7) overlaps each other, along and across the first."""
+    x, y = (boxes[:, axis] - boxes[:, axis : axis + 1] for axis in range(2))
+    cos, sin = np.cos(boxes[:, 6:7]), np.sin(boxes[:, 6:7])
+    long_m, wide_m = ((boxes[:, side : side + 1] + boxes[:, side]) / 2 for side in (3, 4))
+    along, across = np.abs(cos * x + sin * y), np.abs(cos * y - sin * x)
+    return np.asarray((along < long_m) & (across < wide_m))
+
+
+def _with_two_wheeler(classes: Bytes) -> Bools:
+    """Whether one of two objects (N,) is a two-wheeler: others are a bare metre before it."""
+    marked = classes == ObjectClass.TWO_WHEELER
+    return np.asarray(marked[:, None] | marked)
 
 
 def _alike(classes: Bytes) -> Bools:

@@ -10,7 +10,7 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.roadway import LEVEL_M
-from protocol.approaches import Approach, Approaches
+from protocol.approaches import Approach, Approaches, bar_starts_m
 from protocol.roadmap import Lane, RoadMap
 
 ACROSS_M = 1.75  # a lane at right angles to the vehicle counts as this much farther away
@@ -44,7 +44,7 @@ class LaneIndex:
         self._segments = np.concatenate(rows)
         self._owners = np.concatenate(owners)
         self.approaches = {one.tls: Approaches(road_map, one) for one in road_map.intersections}
-        self._start_m = self._starts()
+        self._start_m = bar_starts_m(self.approaches.values())
 
     def locate(self, boxes: Floats, *, margin_m: Floats) -> LanePositions:
         """Finds the lane under each box (N, 7): the nearest that runs along the box.
@@ -109,21 +109,13 @@ class LaneIndex:
                 behind[reach.counts_for] += weight
         return before, behind
 
-    def _starts(self) -> dict[str, float]:
-        """Returns by lane the distance from its start to the stop bar of its own intersection."""
-        found: dict[str, float] = {}
-        for side in ("upstream", "downstream"):
-            for one in self.approaches.values():
-                for name, reach in getattr(one, side).items():
-                    found.setdefault(name, reach.start_m)
-        return found
-
 
 @njit("void(float64[:,::1], float64[::1], float64[:,::1], int64[::1], float64[::1])", cache=True)
 def _locate(boxes: Floats, margin_m: Floats, segments: Floats, best: Ints, along_m: Floats) -> None:
     """Finds each box's cheapest segment (S, 8): two ends x, y, z, half width, metres before it."""
     for index in range(boxes.shape[0]):
-        x, y, z, yaw = boxes[index, 0], boxes[index, 1], boxes[index, 2], boxes[index, 6]
+        x, y, yaw = boxes[index, 0], boxes[index, 1], boxes[index, 6]
+        z = boxes[index, 2] - boxes[index, 5] / 2  # of the ground that it stands on
         least_m = np.inf
         for segment in range(segments.shape[0]):
             x0, y0, z0, x1, y1, z1, half_m, before_m = segments[segment]
@@ -236,7 +228,7 @@ def _places(
         reach = reaches.get(lane.id)
         if reach is None:
             continue
-        along_m = np.arange(SPACING_M / 2, lane.length_m, SPACING_M)
+        along_m = np.arange(SPACING_M / 2, lane.measured_m, SPACING_M)
         left_m = reach.start_m - along_m
         is_inside = (left_m >= low_m) & (left_m <= high_m)
         places.append(_at(lane, along_m[is_inside]))
@@ -249,5 +241,4 @@ def _at(lane: Lane, along_m: Floats) -> Floats:
     """Returns places (N, 2) so far along a lane's centreline (N,)."""
     points = lane.points[:, :2]
     ends_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    scaled = along_m * ends_m[-1] / lane.length_m
-    return np.column_stack([np.interp(scaled, ends_m, points[:, axis]) for axis in range(2)])
+    return np.column_stack([np.interp(along_m, ends_m, points[:, axis]) for axis in range(2)])

@@ -39,6 +39,12 @@ class Approaches:
         self.upstream = self._reach_upstream({lane.id for lane in foreign})
         self.downstream = self._reach_downstream({lane.id for lane in foreign if lane.internal})
 
+    def with_neighbours(self) -> list[Approaches]:
+        """Returns these and the approaches of the signals that lanes downstream lead to."""
+        signals = {self._map.by_id[name].tls for name in self.downstream}
+        ahead = sorted(signals & self._map.by_tls.keys() - {self.intersection.tls})
+        return [self, *(Approaches(self._map, self._map.by_tls[tls]) for tls in ahead)]
+
     def _reach_upstream(self, barred: set[str]) -> dict[str, Approach]:
         """Follows the lanes back from the stop bars; the junction's own lanes lie behind them."""
         known = [name for name in self.intersection.incoming if name in self._map.by_id]
@@ -74,6 +80,19 @@ class Approaches:
             barred=barred | self.inside | set(self.intersection.incoming) - set(exits),
         )
         return result | {name: Approach(owner, -way_m) for name, (way_m, owner) in found.items()}
+
+
+def bar_starts_m(around: Collection[Approaches]) -> dict[str, float]:
+    """Returns by lane the distance of its start to the stop bar ahead, else to the one behind it.
+
+    Distances of vehicles are to that bar, negative behind it: see `Detections.distances_m`.
+    """
+    found: dict[str, float] = {}
+    for side in ("upstream", "downstream"):
+        for one in around:
+            for name, reach in getattr(one, side).items():
+                found.setdefault(name, reach.start_m)
+    return found
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,11 @@ class Lane(_Part):
         """Length of the centreline in the plane; `length_m` is what SUMO counts with."""
         return float(np.linalg.norm(np.diff(self.points[:, :2], axis=0), axis=1).sum())
 
+    @property
+    def measured_share(self) -> float:
+        """Metres of the centreline for each of SUMO's: a net may state another length."""
+        return self.measured_m / self.length_m if self.length_m > 0 else 1.0
+
 
 def distance_m(points: npt.NDArray[np.float64], at: npt.NDArray[np.float64]) -> float:
     """Returns the distance of a point x, y (2,) from a polyline (K, 2 or 3), in the plane."""

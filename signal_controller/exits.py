@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 
-from protocol.approaches import Approaches
+from protocol.approaches import bar_starts_m
 from signal_controller.observation import LaneVehicles
 from signal_controller.predictive_model import Bools, JunctionModel
 from signal_controller.tracked_vehicle import STOPPED_MPS, TrackedVehicle
@@ -25,7 +25,9 @@ class Exits:
 
     def __init__(self, model: JunctionModel) -> None:
         self._model = model
-        self.starts_m = _exit_starts(model)
+        exits = {lane for one in model.movements for lane in one.exit_lanes}
+        starts_m = bar_starts_m(model.approaches.with_neighbours())
+        self.starts_m = {lane: starts_m[lane] for lane in exits & starts_m.keys()}
 
     def room(self, vehicles: LaneVehicles, tracks: Mapping[str, TrackedVehicle]) -> Bools:
         """Returns whether the exit of each movement (M,) can take a vehicle.
@@ -68,22 +70,3 @@ class Exits:
             is_through = drives and self.starts_m[one.lane] - one.from_m <= _ENTRY_M
             if other is not None and is_through and one.since_s > other.stands_since_s:
                 other.is_no_queue |= one.distance_m < other.distance_m - _ROOM_M
-
-
-def _exit_starts(model: JunctionModel) -> dict[str, float]:
-    """Returns for each exit lane the distance of its start to the stop bar, as vehicles have it."""
-    road_map, own = model.site.road_map, model.site.signal.tls
-    others: dict[str, Approaches] = {}
-    found = {}
-    for lane in {name for one in model.movements for name in one.exit_lanes}:
-        known = road_map.by_id.get(lane)
-        if known is None:
-            continue
-        tls = known.tls or own
-        if tls != own and tls in road_map.by_tls and tls not in others:
-            others[tls] = Approaches(road_map, road_map.by_tls[tls])
-        around = others.get(tls, model.approaches)
-        side = around.upstream.get(lane) or around.downstream.get(lane)
-        if side is not None:
-            found[lane] = side.start_m
-    return found

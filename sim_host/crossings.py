@@ -248,22 +248,18 @@ def _line(roads: RoadMap, path: InnerPath) -> tuple[Floats, Floats]:
 
 def _lanes(roads: RoadMap, path: InnerPath, start: str) -> tuple[tuple[str, float, float], ...]:
     """Returns the lanes of `Conflict`: from 60 m before the stop bar to behind the junction."""
-    found = [(name, way_m, _scale(roads.by_id[name])) for name, way_m in path.inner]
-    found.append((path.exit, path.way_m, _scale(roads.by_id[path.exit])))
+    found = [(name, way_m, roads.by_id[name].measured_share) for name, way_m in path.inner]
+    found.append((path.exit, path.way_m, roads.by_id[path.exit].measured_share))
     todo, seen = [(start, 0.0)], {start}
     while todo:
         name, end_m = todo.pop()
         lane = roads.by_id[name]
-        found.append((name, end_m - lane.measured_m, _scale(lane)))
+        found.append((name, end_m - lane.measured_m, lane.measured_share))
         if lane.measured_m - end_m < _FARTHEST_M:
             before = [one for one in roads.predecessors[name] if one not in seen]
             todo += [(one, end_m - lane.measured_m) for one in before]
             seen.update(before)
     return tuple(found)
-
-
-def _scale(lane: Lane) -> float:
-    return lane.measured_m / lane.length_m if lane.length_m > 0 else 1.0
 
 
 def _zones(conflicts: list[Conflict], length_m: float) -> tuple[Zone, ...]:

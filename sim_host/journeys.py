@@ -36,7 +36,7 @@ _UNSAFE = re.compile(rf"[/*$?#\s]|^(?={PARKED}|{PEDESTRIAN})")  # prefixes of by
 class Journey:
     """One vehicle, from when it first came within the radius.
 
-    SUMO counts a vehicle's loss from its start; `lost_before_s` of it was lost outside the radius.
+    SUMO counts a vehicle's loss from its start; `lost_outside_s` of it was lost outside the radius.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Journey:
     equipment: Equipment
     depart_s: float
     over_signal: bool
-    lost_before_s: float
+    lost_outside_s: float
     lost_s: float
     within_radius: bool = True
     teleported: bool = False
@@ -59,7 +59,7 @@ class Journey:
             equipment=self.equipment,
             depart_s=self.depart_s,
             arrive_s=arrive_s,
-            time_loss_s=self.lost_s - self.lost_before_s,
+            time_loss_s=self.lost_s - self.lost_outside_s,
             teleported=self.teleported,
             stops=self.stops,
             co2_g=self.co2_g,
@@ -81,13 +81,23 @@ class Journeys:
 
     def within_radius(self, vehicles: list[str]) -> list[Journey]:
         """Returns the journeys of all vehicles that are within the radius now; new ones begin."""
+        journeys = [self._of(vehicle) for vehicle in vehicles]
         for journey in self._under_way.values():
             journey.within_radius = False
-        for vehicle in vehicles:
-            if vehicle not in self._under_way:
-                self._under_way[vehicle] = self._begin(vehicle)
-            self._under_way[vehicle].within_radius = True
-        return [self._under_way[vehicle] for vehicle in vehicles]
+        for journey in journeys:
+            journey.within_radius = True
+        return journeys
+
+    def _of(self, vehicle: str) -> Journey:
+        """Returns a vehicle's journey; what it lost while it was outside is not the run's."""
+        journey = self._under_way.get(vehicle)
+        if journey is None:
+            journey = self._under_way[vehicle] = self._begin(vehicle)
+        elif not journey.within_radius:
+            lost_s = self._sumo.vehicle.getTimeLoss(vehicle)
+            journey.lost_outside_s += lost_s - journey.lost_s
+            journey.lost_s = lost_s
+        return journey
 
     def note_step(self) -> None:
         """Reads each vehicle's time loss, which SUMO forgets, and its halts and emissions."""
@@ -134,7 +144,7 @@ class Journeys:
             equipment=drawn if carries else Equipment.NONE,
             depart_s=api.getDeparture(vehicle),
             over_signal=not self._approaches.isdisjoint(api.getRoute(vehicle)),
-            lost_before_s=lost_s,
+            lost_outside_s=lost_s,
             lost_s=lost_s,
         )
 

@@ -66,8 +66,7 @@ class ApproachLog:
             if found is None:
                 continue
             lane, name, start_m = found
-            scale = lane.measured_m / lane.length_m if lane.length_m else 1.0
-            if start_m - one.along_m * scale > REACH_M:
+            if start_m - one.along_m * lane.measured_share > REACH_M:
                 continue
             self._lost_s[name] += self._period_s * max(0.0, 1 - one.speed_mps / lane.speed_mps)
             self._vehicles[name].add(one.vehicle)

@@ -11,10 +11,10 @@ from rich.console import Console
 from rich.table import Table
 
 from recording.run import Run
-from recording.tables import CountRow, DetectionRow, TruthRow
+from recording.tables import CountRow
 from studies.bench import WARM_UP_FRAMES, JsonRow
 from studies.count_error import PerceptionTally
-from studies.ecvpr import by_frame
+from studies.frame_rows import FrameRows, perceived_by_frame
 from studies.latency import end_to_end_ms
 from studies.uplink import by_agent
 
@@ -118,11 +118,10 @@ def _whole_per_s(run: Run, frame_period_s: float) -> float | None:
 
 def _tally(run: Run, visible: Visible) -> PerceptionTally:
     tally = PerceptionTally(run.setup)
-    found, counts = dict(by_frame(run.rows(DetectionRow))), dict(by_frame(run.rows(CountRow)))
-    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    for frame, vehicles in by_frame(run.rows(TruthRow)):
-        if frame >= WARM_UP_FRAMES and frame in perceived:
-            tally.add(visible(frame), found.get(frame, []), counts.get(frame, []), vehicles)
+    counts = FrameRows(run.rows(CountRow))
+    for frame, found, vehicles in perceived_by_frame(run):
+        if frame >= WARM_UP_FRAMES:
+            tally.add(visible(frame), found, counts.of(frame), vehicles)
     return tally
 
 

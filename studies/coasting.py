@@ -9,16 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from recording.run import Run
-from recording.tables import DetectionRow, TruthRow
 from studies.ecvpr import (
     MARGIN_M,
     EvaluationArea,
-    by_frame,
     matches,
     parked_bodies,
     score_frame,
     vehicles_of,
 )
+from studies.frame_rows import perceived_by_frame
 
 Shares = dict[str, float | None]
 
@@ -42,14 +41,10 @@ def coasting_score(run: Run) -> CoastingScore:
     area = EvaluationArea(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     parked = parked_bodies(run.setup)
-    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    known = dict(by_frame(run.rows(DetectionRow)))
     boxes, false = {True: 0, False: 0}, {True: 0, False: 0}
     rates: dict[str, list[float]] = {"observed": [], "all": []}
-    for frame, vehicles in by_frame(run.rows(TruthRow)):
-        if frame not in perceived:
-            continue
-        found, bodies = known.get(frame, []), vehicles + parked
+    for frame, found, vehicles in perceived_by_frame(run):
+        bodies = vehicles + parked
         for one in vehicles_of(found):
             boxes[one.coasted_s > 0] += 1
         for one in matches(found, bodies, types)[1]:

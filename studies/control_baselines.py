@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from protocol.approaches import Approaches
+from protocol.approaches import Approaches, bar_starts_m
 from protocol.roadmap import PlanPhase, RoadMap, Signal, yellow_between
 from signal_controller.observation import CabinetTimes, LaneVehicles, Observation, SignalSite
 from signal_controller.policies import (
@@ -107,6 +107,7 @@ class WeightedPressure:
     def __init__(self, site: SignalSite, kind: str, downstream_m: float) -> None:
         self._signal = site.signal
         self._around = Approaches(site.road_map, site.road_map.by_tls[site.signal.tls])
+        self._starts_m = bar_starts_m(self._around.with_neighbours())
         self._kind = kind
         self._reach_m = site.upstream_m, downstream_m
         self._stood_s: dict[str, float] = {}
@@ -127,7 +128,8 @@ class WeightedPressure:
                 before[side.counts_for] += self._weight(distance_m, name)
             side = self._around.downstream.get(lane)
             if side is not None and self._kind == "position" and self._reach_m[1] > 0:
-                behind[side.counts_for] += max(0.0, 1 + min(distance_m, 0) / self._reach_m[1])
+                behind_m = self._starts_m[lane] - distance_m - side.start_m
+                behind[side.counts_for] += max(0.0, 1 - behind_m / self._reach_m[1])
         greens = self._signal.greens
         pressures = [pressure(self._signal, green, before, behind) for green in greens]
         state = phase_of_highest(greens, pressures, observation.shown)

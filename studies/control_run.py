@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from protocol.approaches import Approaches
+from protocol.approaches import Approaches, bar_starts_m
 from protocol.errors import ConfigError
 from protocol.messages import LaneCounts
 from protocol.roadmap import RoadMap, Signal
@@ -142,7 +142,7 @@ class ControlRun:
     def _drive(self, controllers: list[_Controller]) -> None:
         begin_s, warmup_s = self._sumo.simulation.getTime(), self._case.warmup_s
         self._measured_from_s = begin_s + warmup_s
-        truth = _Truth(self._road_map, self._case)
+        truth = TruePositions(self._road_map, self._case)
         shown: dict[str, str] = {}
         on_plan = self._on_plan() if warmup_s and self._case.policy in SUMO_TYPES else []
         for step in range((warmup_s + self._case.duration_s) * _STEPS_A_SECOND):
@@ -229,7 +229,7 @@ class _Controller:
         self._case = case
         self._approaches = Approaches(site.road_map, site.road_map.by_tls[self.tls])
 
-    def decide(self, frame: int, now_ns: int, truth: _Truth) -> int:
+    def decide(self, frame: int, now_ns: int, truth: TruePositions) -> int:
         """Requests the policy's decision; returns the time that it took, in ns."""
         self.cabinet.advance(now_ns)
         shown = self.cabinet.spat(frame, now_ns)
@@ -240,7 +240,7 @@ class _Controller:
         self.cabinet.request(decision.request(self.tls, frame, now_ns), now_ns)
         return taken_ns
 
-    def queue_errors(self, truth: _Truth) -> list[tuple[float, bool]]:
+    def queue_errors(self, truth: TruePositions) -> list[tuple[float, bool]]:
         """Returns the error of each estimated queue, and whether its interval is right."""
         queues = self._policy.planner.queues if isinstance(self._policy, Predictive) else None
         if queues is None or queues.is_seen.all():
@@ -259,7 +259,7 @@ class _Controller:
             found.append((abs(queue.median - number), queue.low <= number <= queue.high))
         return found
 
-    def _counts(self, frame: int, now_ns: int, truth: _Truth) -> LaneCounts:
+    def _counts(self, frame: int, now_ns: int, truth: TruePositions) -> LaneCounts:
         around, case = self._approaches, self._case
         incoming, outgoing = around.intersection.incoming, around.intersection.outgoing
         before, waiting = dict.fromkeys(incoming, 0), dict.fromkeys(incoming, 0)
@@ -289,7 +289,7 @@ class _Controller:
         )
 
 
-class _Truth:
+class TruePositions:
     """True positions of the vehicles that policies may know of, read once a decision.
 
     `rows` are lane, metres along it and speed in m/s, in the order of `vehicles`: those that are
@@ -297,14 +297,12 @@ class _Truth:
     """
 
     def __init__(self, road_map: RoadMap, case: ControlCase) -> None:
-        self._starts_m: dict[str, float] = {}
-        for side in ("upstream", "downstream"):
-            for one in road_map.intersections:
-                for lane, reach in getattr(Approaches(road_map, one), side).items():
-                    self._starts_m.setdefault(lane, reach.start_m)
-        self._scale = {
-            lane.id: lane.measured_m / lane.length_m for lane in road_map.lanes if lane.length_m
-        }
+        around = [Approaches(road_map, one) for one in road_map.intersections]
+        self._starts_m = bar_starts_m(around)
+        self._behind_m: dict[str, float] = {}
+        for lane, reach in (item for one in around for item in one.downstream.items()):
+            self._behind_m[lane] = max(reach.start_m, self._behind_m.get(lane, -math.inf))
+        self._measured = {lane.id: lane.measured_share for lane in road_map.lanes}
         self._reach_m = case.upstream_m, case.downstream_m
         self._reporting = case.reporting
         self._draw = np.random.default_rng(case.seed)
@@ -314,6 +312,16 @@ class _Truth:
         self.vehicles = LaneVehicles([], np.zeros(0), np.zeros(0), np.zeros(0), [])
         self.all = self.vehicles
 
+    def _is_known(self, lane: str, along_m: float) -> bool:
+        """Whether a place is as near before a stop bar, or behind one, as vehicles are known.
+
+        A lane between two signals may be behind the one and before the other.
+        """
+        before_m = self._starts_m[lane] - along_m
+        behind_m = along_m - self._behind_m.get(lane, -math.inf)
+        upstream_m, downstream_m = self._reach_m
+        return -downstream_m <= before_m <= upstream_m or behind_m <= downstream_m
+
     def read(self, sumo: Any) -> None:  # noqa: ANN401 - libsumo has no types
         """Reads them from SUMO."""
         vehicle, ids, rows, distances_m, lengths_m = sumo.vehicle, [], [], [], []
@@ -322,8 +330,8 @@ class _Truth:
             start_m = self._starts_m.get(lane)
             if start_m is None:
                 continue
-            along_m = vehicle.getLanePosition(name) * self._scale.get(lane, 1.0)
-            if not -self._reach_m[1] <= start_m - along_m <= self._reach_m[0]:
+            along_m = vehicle.getLanePosition(name) * self._measured.get(lane, 1.0)
+            if not self._is_known(lane, along_m):
                 continue
             ids.append(name)
             rows.append((lane, along_m, vehicle.getSpeed(name)))

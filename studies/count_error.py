@@ -17,10 +17,10 @@ from studies.ecvpr import (
     DOWNSTREAM_M,
     UPSTREAM_M,
     EvaluationArea,
-    by_frame,
     matched_vehicles,
     parked_bodies,
 )
+from studies.frame_rows import FrameRows, truth_by_frame
 
 
 def count_errors(run: Run) -> dict[str, list[int]]:
@@ -45,12 +45,10 @@ def counts_with_truth(run: Run) -> Iterator[tuple[CountRow, int]]:
     """
     config = EdgeConfig.model_validate(run.scenario.get("edge", {}))
     counter = TrueCounts(run.setup.road_map, config.upstream_m, config.downstream_m)
-    truths = by_frame(run.rows(TruthRow))
-    frame, vehicles = next(truths, (-1, []))
-    for counted, rows in by_frame(run.rows(CountRow)):
-        while 0 <= frame < counted:
-            frame, vehicles = next(truths, (-1, []))
-        if frame == counted:
+    counted = FrameRows(run.rows(CountRow))
+    for frame, vehicles in truth_by_frame(run):
+        rows = counted.of(frame)
+        if rows:
             truth = counter.count(vehicles)
             yield from ((row, truth[row.tls, row.side].get(row.lane, 0)) for row in rows)
 
@@ -61,12 +59,13 @@ class TrueCounts:
     def __init__(self, road_map: RoadMap, upstream_m: float, downstream_m: float) -> None:
         self._index = LaneIndex(road_map)
         self._numbers = {lane.id: number for number, lane in enumerate(road_map.lanes)}
+        self._measured = {lane.id: lane.measured_share for lane in road_map.lanes}
         self._upstream_m, self._downstream_m = upstream_m, downstream_m
 
     def count(self, vehicles: list[TruthRow]) -> dict[tuple[str, str], dict[str, int]]:
         """Returns vehicles by signal and side of its stop bars, and by lane."""
         lanes = [self._numbers.get(vehicle.lane, -1) for vehicle in vehicles]
-        along_m = [vehicle.lane_position_m for vehicle in vehicles]
+        along_m = [one.lane_position_m * self._measured.get(one.lane, 1.0) for one in vehicles]
         place = LanePositions(np.array(lanes, np.int64), np.array(along_m, np.float64))
         found: dict[tuple[str, str], dict[str, int]] = {}
         for tls in self._index.approaches:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,10 @@ from protocol.messages import PARKED, Equipment, ObjectClass, Setup, VehicleType
 from protocol.roadmap import RoadMap
 from recording.rows import parked_rows
 from recording.run import Run
-from recording.tables import CountRow, DetectionRow, SightingRow, TruthRow
+from recording.tables import DetectionRow, SightingRow, TruthRow
 from sensing.config import Mount
 from sensing.pose import mount_place
+from studies.frame_rows import perceived_by_frame
 
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0
@@ -205,9 +206,6 @@ def _by_frame(rows: Iterator[SightingRow]) -> Iterator[tuple[int, Counter[str]]]
         yield frame, points
 
 
-R = TypeVar("R", TruthRow, DetectionRow, CountRow)
-
-
 @dataclass(frozen=True, slots=True)
 class FrameScore:
     """One frame: vehicles present, those of them that were detected, false detections.
@@ -256,20 +254,13 @@ def score(
     area = area or EvaluationArea(run.setup.road_map)
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     parked = parked_bodies(run.setup)
-    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    detections, bounds = by_frame(run.rows(DetectionRow)), PerceptionBounds(run)
-    waiting = next(detections, None)
-    scores = []
-    for frame, vehicles in by_frame(run.rows(TruthRow)):
-        while waiting is not None and waiting[0] < frame:
-            waiting = next(detections, None)
-        found = waiting[1] if waiting is not None and waiting[0] == frame else []
-        if frame in perceived:
-            one = score_frame(frame, found, vehicles + parked, types, area, margin_m)
-            present = {v.vehicle for v in vehicles if area.contains(v.lane, v.lane_position_m)}
-            visible = len(present & bounds.visible(frame, vehicles))
-            in_range = len(present & bounds.in_range(vehicles))
-            scores.append(replace(one, visible=visible, in_range=in_range))
+    bounds, scores = PerceptionBounds(run), []
+    for frame, found, vehicles in perceived_by_frame(run):
+        one = score_frame(frame, found, vehicles + parked, types, area, margin_m)
+        present = {v.vehicle for v in vehicles if area.contains(v.lane, v.lane_position_m)}
+        visible = len(present & bounds.visible(frame, vehicles))
+        in_range = len(present & bounds.in_range(vehicles))
+        scores.append(replace(one, visible=visible, in_range=in_range))
     return scores
 
 
@@ -378,9 +369,3 @@ def _matched(
     pairs = _pairs(detections, vehicles, types, margin_m)
     true = {detection for detection, _ in pairs}
     return pairs, [detection for i, detection in enumerate(detections) if i not in true]
-
-
-def by_frame(rows: Iterator[R]) -> Iterator[tuple[int, list[R]]]:
-    """Groups rows that are in the order of frames."""
-    for frame, group in groupby(rows, key=attrgetter("frame")):
-        yield frame, list(group)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections import defaultdict
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import mean
@@ -13,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from protocol.config import is_file
+from protocol.messages import is_bystander
 from recording.run import Run
-from recording.tables import TruthRow
 from studies.approach_log import ApproachLog, VehicleSample
-from studies.control_run import delays_s
+from studies.control_run import delays_s, stops_and_co2
 from studies.control_study import Row, file_digest, files_of_net
+from studies.frame_rows import truth_by_frame
 from studies.in_process import run_in_process
 from studies.page.model import MapChart
 from studies.run_sections import map_section
@@ -31,6 +31,7 @@ _OWN_CODE = (
     "control_run.py",
     "sumo_config.py",
     "approach_log.py",
+    "frame_rows.py",
     "uplink.py",
 )
 
@@ -83,8 +84,11 @@ def run_perceived(case: PerceivedCase) -> Row:
             if case.draws:
                 found["map"] = _map_points(run)
         delays, arrived = delays_s(trips, first_ns / 1e9)
+        stops, co2_g = stops_and_co2(trips, first_ns / 1e9)
     return {
         **found,
+        "stops": stops,
+        "co2_g": co2_g,
         "delay_s": mean(delays) if delays else 0.0,
         "delay_p95_s": float(np.quantile(delays, 0.95)) if delays else 0.0,
         "vehicles": len(delays),
@@ -95,11 +99,12 @@ def run_perceived(case: PerceivedCase) -> Row:
 def _log_of(run: Run, first_ns: int) -> ApproachLog:
     log = ApproachLog(run.setup.road_map, float(run.scenario["frame_period_s"]))
     times_ns = dict(run.query("SELECT frame, sim_time_ns FROM frames"))
-    frames: dict[int, list[VehicleSample]] = defaultdict(list)
-    for row in run.rows(TruthRow):
-        sample = VehicleSample(row.vehicle, row.lane, row.lane_position_m, row.speed_mps)
-        frames[row.frame].append(sample)
-    for frame, samples in frames.items():
+    for frame, bodies in truth_by_frame(run):
+        samples = (
+            VehicleSample(row.vehicle, row.lane, row.lane_position_m, row.speed_mps)
+            for row in bodies
+            if not is_bystander(row.vehicle)
+        )
         log.note(((times_ns[frame] or first_ns) - first_ns) / 1e9, samples)
     return log
 

@@ -26,10 +26,10 @@ from studies.ecvpr import (
     UPSTREAM_M,
     EvaluationArea,
     PerceptionBounds,
-    by_frame,
     parked_bodies,
     vehicles_of,
 )
+from studies.frame_rows import perceived_by_frame
 from studies.over_time import FrameClock
 from studies.page.model import DASH
 from studies.tracking import (
@@ -132,15 +132,7 @@ def tracked_frames(run: Run) -> Iterator[TrackedFrame]:
     )
     types = {kind.name: kind for kind in run.setup.vehicle_types}
     parked = parked_bodies(run.setup)
-    perceived = {n for (n,) in run.query("SELECT frame FROM frames WHERE detections IS NOT NULL")}
-    detections = by_frame(run.rows(DetectionRow))
-    waiting = next(detections, None)
-    for frame, bodies in by_frame(run.rows(TruthRow)):
-        while waiting is not None and waiting[0] < frame:
-            waiting = next(detections, None)
-        found = waiting[1] if waiting is not None and waiting[0] == frame else []
-        if frame not in perceived:
-            continue
+    for frame, found, bodies in perceived_by_frame(run):
         traffic = [one for one in bodies if not is_bystander(one.vehicle)]
         covered = bounds.in_range(traffic) if traffic else set()
         due = [

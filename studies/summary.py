@@ -34,7 +34,7 @@ Summary = dict[str, Any]
 
 _VEHICLES = f"""
     SELECT (SELECT count(DISTINCT vehicle) FROM truth
-            WHERE frame = (SELECT min(frame) FROM truth) AND vehicle NOT GLOB '{PEDESTRIAN}*'),
+            WHERE frame = (SELECT min(frame) FROM frames) AND vehicle NOT GLOB '{PEDESTRIAN}*'),
            (SELECT count(*) FROM (SELECT vehicle FROM trips UNION SELECT vehicle FROM truth)
             WHERE vehicle NOT GLOB '{PEDESTRIAN}*'),
            count(arrive_s), total(teleported) FROM trips

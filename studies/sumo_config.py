@@ -31,7 +31,8 @@ def write_config(source: Path, target: Path, trips: Path | None = None) -> None:
     Args:
         source: the user's, or a generated one.
         target: a file in any folder.
-        trips: where SUMO is to write every journey, also those that have not ended or begun.
+        trips: where SUMO is to write every journey with its emissions, also those that have not
+            ended or begun.
 
     Raises:
         ConfigError: the source is no sumocfg.
@@ -53,6 +54,7 @@ def write_config(source: Path, target: Path, trips: Path | None = None) -> None:
             "tripinfo-output": str(trips),
             "tripinfo-output.write-unfinished": "true",
             "tripinfo-output.write-undeparted": "true",
+            "device.emissions.probability": "1",
         }
     root = ElementTree.Element("configuration")
     for name, value in options.items():

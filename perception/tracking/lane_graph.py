@@ -201,7 +201,8 @@ def _locate(
     lane = np.full(boxes.shape[0], -1, np.int64)
     along_m, off_m = np.zeros(boxes.shape[0]), np.zeros(boxes.shape[0])
     for index in range(boxes.shape[0]):
-        x, y, z, yaw = boxes[index, 0], boxes[index, 1], boxes[index, 2], boxes[index, 6]
+        x, y, yaw = boxes[index, 0], boxes[index, 1], boxes[index, 6]
+        z = boxes[index, 2] - boxes[index, 5] / 2  # of the ground that it stands on
         column, row = np.floor((x - grid[0]) / grid[2]), np.floor((y - grid[1]) / grid[2])
         if not (0 <= column < grid[3] and 0 <= row < grid[4]):
             continue

@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # a study's file is checked without loading all roles
     from studies.sweep.worker import Outcome, Row, Rows
 
 
-SCHEMA = 2
+SCHEMA = 3
 """Version, to be raised when `worker.measure` gives other figures for the same run."""
 _DECIDING = (
     *("protocol", "sensing", "vehicle_agent", "infra_agent", "sim_host", "link_relay"),

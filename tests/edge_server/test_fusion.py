@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from random import Random
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from edge_server.config import FusionConfig
 from edge_server.fusion import CERTAIN_STD_M, from_poses, fuse
 from perception.detector import Vehicles
-from protocol.messages import AgentPose, Equipment
+from protocol.messages import AgentPose, Equipment, ObjectClass
 
 CENTRE = np.zeros((1, 3))
 
@@ -191,3 +192,44 @@ def test_a_pose_at_the_limit_of_certainty_has_no_slack() -> None:
 def test_boxes_side_by_side_are_one_only_below_the_limit(across_m: float, left: int) -> None:
     pair = boxes((16, 0), (16, across_m))
     assert len(fuse(pair, [], centres=CENTRE, config=FusionConfig(across_m=2.0))) == left
+
+
+def of_class(kind: ObjectClass, *rows: tuple[float, float, float, float]) -> Vehicles:
+    """Returns boxes of a class at x, y, of a length and a width."""
+    box_rows = np.array([(x, y, 0.9, long_m, wide_m, 1.8, 0) for x, y, long_m, wide_m in rows])
+    found = Vehicles.from_lidar(box_rows, np.full(len(rows), 0.5))
+    return replace(found, classes=np.full(len(rows), kind, np.uint8))
+
+
+def test_a_pedestrian_is_no_box_of_a_cv_that_is_not_sure_where_it_is() -> None:
+    person = of_class(ObjectClass.PEDESTRIAN, (33.0, 0.0, 0.6, 0.6))
+    cv = pose("cv", 31.6, 0, Equipment.CV)
+    found = fuse(boxes((30, 0)) + person, [cv], centres=CENTRE, config=FusionConfig())
+    assert places(found) == [(31.6, 0), (33, 0)]
+
+
+@pytest.mark.parametrize("off_m", [-8.0, 4.0, 8.0])
+def test_a_cv_that_does_not_know_its_height_is_one_vehicle(off_m: float) -> None:
+    cv = pose("cv", 31.0, 0, Equipment.CV)
+    cv = cv.model_copy(update={"pose": cv.pose + np.array([0, 0, off_m, 0, 0, 0])})
+    found = fuse(boxes((30, 0)), [cv], centres=CENTRE, config=FusionConfig())
+    assert places(found) == [(31, 0)]
+
+
+def test_of_two_levels_a_cvs_box_is_that_of_its_own() -> None:
+    cv = pose("cv", 31.0, 0, Equipment.CV)
+    below = boxes((31.0, 0.0))
+    below.boxes[:, 2] -= 7.0
+    found = fuse(boxes((29.5, 0)) + below, [cv], centres=CENTRE, config=FusionConfig())
+    assert [z for _, _, z in found.boxes[:, :3]] == [0.75, 0.75 - 7.0]
+
+
+def test_two_wheelers_stand_closer_than_cars() -> None:
+    config = FusionConfig()
+    file = of_class(ObjectClass.TWO_WHEELER, *((30 + 2.1 * n, 0, 1.6, 0.6) for n in range(5)))
+    assert len(fuse(file, [], centres=CENTRE, config=config)) == 5
+    behind = of_class(ObjectClass.TWO_WHEELER, (33.7, 0, 1.6, 0.6))
+    assert len(fuse(boxes((30, 0)) + behind, [], centres=CENTRE, config=config)) == 2
+    assert len(fuse(boxes((30, 0)), [pose("a", 33.7, 0)], centres=CENTRE, config=config)) == 1
+    within = of_class(ObjectClass.TWO_WHEELER, (31.0, 0.3, 1.6, 0.6))
+    assert places(fuse(boxes((30, 0)) + within, [], centres=CENTRE, config=config)) == [(30, 0)]

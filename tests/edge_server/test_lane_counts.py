@@ -195,3 +195,23 @@ def test_lengths_are_level_where_a_lane_climbs_in_part() -> None:
     box = np.array([(-20, 0, 30.75, 4.5, 1.8, 1.5, 0)])
     place = index.locate(box, margin_m=np.full(1, 0.5))
     np.testing.assert_allclose(index.distances_m(place), [20])
+
+
+@pytest.mark.parametrize("height_m", [1.5, 4.0])
+def test_who_drives_under_an_elevated_road_is_not_on_it(height_m: float) -> None:
+    road = one_junction(
+        name="deck",
+        centre=(0, 0, 0),
+        lanes=[
+            lane("in", [(-100, 0, 0), (0, 0, 0)], "out"),
+            lane("out", [(0, 0, 0), (100, 0, 0)]),
+            lane("deck", [(-100, 1.5, 5.5), (100, 1.5, 5.5)]),
+        ],
+        signal=signal("j", ("in", "out")),
+        junction=[],
+    )
+    index = LaneIndex(road)
+    boxes = np.array([(-30, y, height_m / 2, 12, 2.5, height_m, 0) for y in (0, 0.8, 1.3)])
+    assert index.names(index.locate(boxes, margin_m=np.full(3, 0.5))) == ["in"] * 3
+    above = boxes + np.array([0, 0, 5.5, 0, 0, 0, 0])
+    assert index.names(index.locate(above, margin_m=np.full(3, 0.5))) == ["deck"] * 3

@@ -107,3 +107,17 @@ def test_places_follow_a_lane_around_a_bend_and_sensors_see_their_own_side():
     assert seen.shares(np.array([[-60.0, 48.0]]), 24.0).upstream == {"in": 0.222}  # 6 of 27
     assert seen.shares(np.array([[-60.0, -48.0]]), 24.0).upstream == {"in": 0.0}
     assert seen.shares(np.array([[0.0, 0.0]]), 24.0).upstream == {"in": 0.222}
+
+
+def test_places_lie_where_the_lane_does_whatever_length_its_net_states():
+    found = []
+    for length_m in (50, 100, 200):
+        stated = lane("in", [(-100, 0, 0), (0, 0, 0)], "out", length_m=length_m)
+        road = one_junction(
+            name="stated", centre=(0, 0, 0), lanes=[stated, lane("out", [(0, 0, 0), (100, 0, 0)])],
+            signal=signal("j", ("in", "out")), junction=[],
+        )  # fmt: skip
+        seen = LaneCoverage(road, around(road), upstream_m=100, downstream_m=100)
+        found.append(seen.shares(np.zeros((1, 2)), 50.0))
+    assert found[0] == found[1] == found[2]
+    assert found[0].from_bar == {"in": 0.52}

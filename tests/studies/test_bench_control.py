@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from protocol.approaches import Approaches
 from protocol.errors import ConfigError
-from signal_controller.observation import CabinetTimes, Observation
+from protocol.roadmap import RoadMap
+from signal_controller.observation import CabinetTimes, LaneVehicles, Observation
 from sim_host.cabinet import SignalCabinet, programme
 from sim_host.config import CabinetConfig
 from studies.bench_control import measure_control, run_case
 from studies.control_baselines import COMPATIBLE, WeightedPressure, webster_signal
 from studies.control_case import PROGRAM, ControlCase, roads_of
-from studies.control_run import ControlRun
+from studies.control_run import ControlRun, TruePositions
 from tests.signal_controller.crossing import LANES, PHASES, SIGNAL, SITE, S, counts, green, vehicles
 
 TIMES = CabinetTimes()
@@ -134,3 +138,49 @@ def test_sumos_control_takes_over_from_a_green_and_goes_on_from_it(tmp_path: Pat
     assert run._take_over(SIGNAL)
     states = [one.state for one in programme(SIGNAL, CabinetConfig())]
     assert lights.chosen == [PROGRAM, states.index(PHASES[2])]
+
+
+CORRIDOR = ControlCase("corridor", "position_pressure")
+
+
+def link_of(roads: RoadMap) -> tuple[str, float, float]:
+    """Returns a lane from A0 to B0, and the distances of its start to B0's and to A0's bar."""
+    outgoing = roads.by_tls["A0"].outgoing
+    link = next(name for name in outgoing if roads.by_id[name].tls == "B0")
+    ahead, behind = (Approaches(roads, roads.by_tls[tls]) for tls in ("B0", "A0"))
+    return link, ahead.upstream[link].start_m, behind.downstream[link].start_m
+
+
+def test_a_vehicle_on_the_way_to_the_next_signal_weighs_less_the_farther_it_is(
+    tmp_path: Path,
+) -> None:
+    _, roads = roads_of(CORRIDOR, tmp_path)
+    site = replace(SITE, signal=roads.by_tls["A0"].signal, road_map=roads)
+    link, to_bar_m, from_bar_m = link_of(roads)
+    weights = []
+    for behind_m in (40.0, 60.0, 90.0, 120.0):
+        distance_m = to_bar_m - (behind_m + from_bar_m)
+        policy = WeightedPressure(site, "position", 100)
+        found = LaneVehicles([link], np.array([distance_m]), np.zeros(1), np.array([4.5]), ["a"])
+        state = green(site.signal.greens[0], 0)
+        pressures = policy.decide(Observation(counts(0, 0), state, found)).pressures
+        weights.append(-min(pressures))
+    assert weights == pytest.approx([weights[0] * part for part in (1, 2 / 3, 1 / 6, 0)])
+    assert weights[0] > 0
+
+
+def test_all_are_known_that_are_within_reach_of_either_signal(tmp_path: Path) -> None:
+    _, roads = roads_of(CORRIDOR, tmp_path)
+    link, to_bar_m, from_bar_m = link_of(roads)
+    along_m = {"left A0": from_bar_m + 45, "between": from_bar_m + 60, "near B0": to_bar_m - 90}
+    sumo = SimpleNamespace(
+        getIDList=lambda: [*along_m],
+        getLaneID=lambda _: link,
+        getLanePosition=lambda name: along_m[name],
+        getSpeed=lambda _: 5.0,
+        getLength=lambda _: 4.5,
+    )
+    truth = TruePositions(roads, replace(CORRIDOR, upstream_m=100.0, downstream_m=50.0))
+    truth.read(SimpleNamespace(vehicle=sumo))
+    assert truth.vehicles.ids == ["left A0", "near B0"]
+    assert truth.vehicles.distances_m == pytest.approx([to_bar_m - from_bar_m - 45, 90])

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from protocol.messages import VehicleType
 from recording.database import Database
 from recording.run import Run
-from recording.tables import DetectionRow, FrameRow, TruthRow
+from recording.tables import CountRow, DetectionRow, FrameRow, MetaRow, TruthRow
+from studies.count_error import count_errors
 from studies.ecvpr import (
     EvaluationArea,
     FrameScore,
@@ -19,6 +20,7 @@ from studies.ecvpr import (
     score,
     score_frame,
 )
+from studies.summary import traffic_of
 from tests.roads import straight_road
 from tests.studies.straight_runs import write_setup
 
@@ -121,3 +123,30 @@ def test_e_cvpr_is_true_detections_over_vehicles_present(tmp_path: Path) -> None
         scores = score(run)
     assert scores == [FrameScore(0, 2, 1, 1), FrameScore(1, 2, 0, 0), FrameScore(3, 0, 0, 0)]
     assert [s.e_cvpr for s in scores] == [0.5, 0.0, None]
+
+
+def test_a_frame_in_which_nobody_is_there_counts_and_so_do_its_false_detections(
+    tmp_path: Path,
+) -> None:
+    write_setup(tmp_path)
+    database = Database(tmp_path)
+    database.add(TruthRow, [truth(1, "a", -10.0, "in", 145.0)])
+    database.add(DetectionRow, [detection(frame, 0, -60.0) for frame in range(3)])
+    database.add(CountRow, [CountRow(frame, "j", "in", "upstream", 1, 0, 0) for frame in range(3)])
+    database.add(FrameRow, [frame_row(frame, 1) for frame in range(3)])
+    database.add(MetaRow, {"scenario": "{}", "end_reason": "finished"}.items())
+    database.close()
+    with Run(tmp_path) as run:
+        assert [(one.present, one.false) for one in score(run)] == [(0, 1), (1, 1), (0, 1)]
+        assert count_errors(run) == {"j": [1, 0, 1]}
+        assert traffic_of(run)["vehicles"]["at_start"] == 0
+
+
+def test_a_run_without_truth_has_no_scores(tmp_path: Path) -> None:
+    write_setup(tmp_path)
+    database = Database(tmp_path)
+    database.add(DetectionRow, [detection(0, 0, -60.0)])
+    database.add(FrameRow, [frame_row(0, 1)])
+    database.close()
+    with Run(tmp_path) as run:
+        assert (score(run), count_errors(run)) == ([], {})
