@@ -7,6 +7,6 @@
 - `frame`: chunks, frames, the state of a frame, and what a stage is
 - `pipeline`: the list of stages; the stages merge, detect, fuse and count; `tracking`: track
 - `placing`: the stages decode and place; `misbehaviour` (with `motion`, `map_consistency`): check
-- `fusion`: duplicates and agents' poses; `lanes`: positions, counts, sensor coverage
+- `fusion`: duplicates and agents' poses; `lanes`: positions and counts; `coverage`: what is seen
 - `planner`, `power_diagram`: which agent uploads which part of the scene
 """

@@ -65,7 +65,7 @@ class BorderStrips:
             classes=found.classes,
             sources=found.sources,
             position_std_m=found.position_std_m.astype(np.float32),
-            sensors=state.sensors[self._is_near(state.sensors)],
+            sensors=state.sensors.places_m[self._is_near(state.sensors.places_m)],
             **self._tracks(),
         )
 
@@ -99,7 +99,8 @@ class BorderStrips:
             vehicles = _vehicles(message)
             parts.append(vehicles.take(self._strips[name].contains(vehicles.boxes)))
         state.fused = join(parts, centres=self._centres, config=config)
-        state.sensors = np.concatenate([state.sensors, *(m.sensors for m in received.values())])
+        for message in received.values():
+            state.sensors = state.sensors.and_whole(message.sensors)
 
     def _is_near(self, places: Floats) -> Bools:
         """Whether places (N, 2) are near any strip."""

@@ -123,17 +123,17 @@ def _enough_ns(frame: Frame, covers: IsEnough) -> int:
     least_ns = max((_arrival_ns(part) for part in others), default=frame.sim_time_ns)
     moments_ns = {max(least_ns, _arrival_ns(chunk)) for chunk in frame.chunks} | {least_ns}
     for moment_ns in sorted(moments_ns):
-        if covers(_uploaded(frame, moment_ns)):
+        if covers(uploaded(frame, moment_ns)):
             return moment_ns
     return NEVER_NS
 
 
-def _uploaded(frame: Frame, until_ns: int) -> dict[str, UploadProgress]:
-    """Returns the upload progress of all announced scans at a time."""
-    uploaded = dict.fromkeys(frame.scanning, UploadProgress(0, 0, -1))
-    uploaded |= {boxes.agent: UploadProgress(1, 1, -1) for boxes in frame.found}
+def uploaded(frame: Frame, until_ns: int = NEVER_NS) -> dict[str, UploadProgress]:
+    """Returns the upload progress of all announced scans at a time, by agent."""
+    found = dict.fromkeys(frame.scanning, UploadProgress(0, 0, -1))
+    found |= {boxes.agent: UploadProgress(1, 1, -1) for boxes in frame.found}
     for chunk in frame.chunks:  # in the order of chunks
-        came = uploaded.get(chunk.agent, UploadProgress(0, 0, -1)).came
+        came = found.get(chunk.agent, UploadProgress(0, 0, -1)).came
         if chunk.index == came and _arrival_ns(chunk) <= until_ns:
-            uploaded[chunk.agent] = UploadProgress(came + 1, chunk.chunk_count, chunk.plan_frame)
-    return uploaded
+            found[chunk.agent] = UploadProgress(came + 1, chunk.chunk_count, chunk.plan_frame)
+    return found

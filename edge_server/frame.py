@@ -16,6 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from edge_server.coverage import SensorViews
 from edge_server.lanes import LanePositions
 from perception.arrays import Bytes, Floats, Floats32
 from perception.detector import Cloud, Vehicles
@@ -121,7 +122,8 @@ class Frame:
     `agents`, `poses` and `found` are sorted by agent, `chunks` by agent and index. The first part
     arrived at `first_ns`; waiting ended at `ready_ns`. `scanning` are the agents, sorted, that
     announced a scan, whether it arrived or not. `delay_sim_ns` is known where links are virtual.
-    `signals` are the signals' states before it: by id a letter for each light.
+    `signals` are the signals' states before it: by id a letter for each light. `cells` (V, 2) are
+    the convex parts of the scene that agents' chunks are of, where they are not all that they see.
     """
 
     frame: int
@@ -136,6 +138,7 @@ class Frame:
     found: Sequence[AgentDetections] = ()
     delay_sim_ns: int | None = None
     signals: Mapping[str, str] = field(default_factory=dict)
+    cells: Mapping[str, Floats] = field(default_factory=dict)
 
     def without(self, excluded: set[str]) -> Frame:
         """Returns the frame without the data of some agents."""
@@ -157,10 +160,10 @@ class FrameState:
     A field that no stage has filled in yet raises AttributeError. `frame` begins with all that
     arrived; `received` are the border messages of neighbouring regions, by region. `fused` are
     vehicles in this frame, wherever they are, `tracks` those followed over frames, on the road once
-    they are counted, at their lane `positions`. `sensors` (S, 2) are the places of the sensors that
-    were used, `counts` are by signal. `excluded` counts the agents that were excluded from it, by
-    reason, `distrusted` names them, `drops` counts what else was left out, and `scores` and
-    `alignments` are those to be published.
+    they are counted, at their lane `positions`. `sensors` are those that were used, `counts` are by
+    signal. `excluded` counts the agents that were excluded from it, by reason, `distrusted` names
+    them, `drops` counts what else was left out, and `scores` and `alignments` are those to be
+    published.
     """
 
     frame: Frame
@@ -173,7 +176,7 @@ class FrameState:
     cloud: Cloud = field(init=False)
     found: Vehicles = field(init=False)
     fused: Vehicles = field(init=False)
-    sensors: Floats = field(init=False)
+    sensors: SensorViews = field(init=False)
     received: dict[str, BorderObjects] = field(default_factory=dict)
     tracks: Tracks = field(init=False)
     positions: LanePositions = field(init=False)

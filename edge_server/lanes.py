@@ -1,8 +1,7 @@
-"""Lanes: positions of vehicles on them, counts per lane, and sensor coverage of lanes."""
+"""Lanes: positions of vehicles on them, and counts per lane."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +9,8 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.roadway import LEVEL_M
-from protocol.approaches import Approach, Approaches, bar_starts_m
-from protocol.roadmap import Lane, RoadMap
+from protocol.approaches import Approaches, bar_starts_m
+from protocol.roadmap import RoadMap
 
 ACROSS_M = 1.75  # a lane at right angles to the vehicle counts as this much farther away
 
@@ -132,113 +131,3 @@ def _locate(boxes: Floats, margin_m: Floats, segments: Floats, best: Ints, along
                 least_m = cost_m
                 best[index] = segment
                 along_m[index] = before_m + share * np.sqrt(square)
-
-
-SPACING_M = 4.0
-CoverageShares = dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class Covered:
-    """Shares by lane that sensors cover, see `protocol.messages.LaneCounts`."""
-
-    upstream: CoverageShares
-    downstream: CoverageShares
-    from_bar: CoverageShares
-
-
-class LaneCoverage:
-    """Sensor coverage: the share of sampled places on each counted lane that sensors cover."""
-
-    def __init__(
-        self, road_map: RoadMap, around: Approaches, *, upstream_m: float, downstream_m: float
-    ) -> None:
-        self._before = _Side(
-            around.intersection.incoming, *_places(road_map, around.upstream, 0.0, upstream_m)
-        )
-        self._behind = _Side(
-            around.intersection.outgoing,
-            *_places(road_map, around.downstream, -downstream_m, np.inf),
-        )
-
-    def shares(self, sensors_m: Floats, range_m: float) -> Covered:
-        """Returns by lane the shares within range of any sensor (S, 2).
-
-        Occlusion is not considered: a queue hides some of what is behind it.
-        """
-        sensors_m = np.ascontiguousarray(sensors_m, np.float64)
-        upstream, from_bar = self._before.shares(sensors_m, range_m)
-        downstream, _ = self._behind.shares(sensors_m, range_m)
-        return Covered(upstream, downstream, from_bar)
-
-
-class _Side:
-    """Places (N, 2) of lanes, by lane and by distance to the stop bar."""
-
-    def __init__(
-        self, names: list[str], places_m: Floats, owners: list[str], left_m: Floats
-    ) -> None:
-        number = {name: index for index, name in enumerate(names)}
-        owner = np.array([number[one] for one in owners], np.int64)
-        order = np.lexsort((left_m, owner))
-        self._names = names
-        self._places_m = places_m[order]
-        self._total = np.bincount(owner, minlength=len(names))
-
-    def shares(self, sensors_m: Floats, range_m: float) -> tuple[CoverageShares, CoverageShares]:
-        """Returns the shares of each lane: in all, and up to its first gap."""
-        seen = _within(self._places_m, self._total, sensors_m, float(range_m**2))
-        known = [*zip(self._names, seen.tolist(), self._total.tolist(), strict=True)]
-        in_all = {name: round(one / total, 3) for name, (one, _), total in known if total}
-        unbroken = {name: round(one / total, 3) for name, (_, one), total in known if total}
-        return in_all, unbroken
-
-
-@njit("int64[:,::1](float64[:,::1], int64[::1], float64[:,::1], float64)", cache=True, nogil=True)
-def _within(places_m: Floats, total: Ints, sensors_m: Floats, range_m2: float) -> Ints:
-    """Counts by lane the places (N, 2) within range of a sensor (S, 2): all, and up to a gap.
-
-    The places are those of the first lane, then those of the next, as many of each as in total.
-    """
-    seen = np.zeros((len(total), 2), np.int64)
-    place = 0
-    for lane in range(len(total)):
-        is_whole = True
-        for _ in range(total[lane]):
-            is_seen = False
-            for sensor in range(len(sensors_m)):
-                x = places_m[place, 0] - sensors_m[sensor, 0]
-                y = places_m[place, 1] - sensors_m[sensor, 1]
-                if x * x + y * y <= range_m2:
-                    is_seen = True
-                    break
-            is_whole &= is_seen
-            seen[lane, 0] += is_seen
-            seen[lane, 1] += is_whole
-            place += 1
-    return seen
-
-
-def _places(
-    road_map: RoadMap, reaches: Mapping[str, Approach], low_m: float, high_m: float
-) -> tuple[Floats, list[str], Floats]:
-    """Returns places whose distance to the stop bar is between two, the lane and that of each."""
-    places, owners, left = [np.zeros((0, 2))], [], [np.zeros(0)]
-    for lane in road_map.lanes:
-        reach = reaches.get(lane.id)
-        if reach is None:
-            continue
-        along_m = np.arange(SPACING_M / 2, lane.measured_m, SPACING_M)
-        left_m = reach.start_m - along_m
-        is_inside = (left_m >= low_m) & (left_m <= high_m)
-        places.append(_at(lane, along_m[is_inside]))
-        left.append(left_m[is_inside])
-        owners += [reach.counts_for] * int(is_inside.sum())
-    return np.concatenate(places), owners, np.concatenate(left)
-
-
-def _at(lane: Lane, along_m: Floats) -> Floats:
-    """Returns places (N, 2) so far along a lane's centreline (N,)."""
-    points = lane.points[:, :2]
-    ends_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    return np.column_stack([np.interp(along_m, ends_m, points[:, axis]) for axis in range(2)])

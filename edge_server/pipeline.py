@@ -27,6 +27,7 @@ import numpy as np
 
 from edge_server.border import BORDER, BorderStrips
 from edge_server.config import EdgeConfig, FusionConfig
+from edge_server.coverage import Covered, LaneCoverage, SensorViews
 from edge_server.frame import (
     Chunk,
     ChunkStage,
@@ -37,7 +38,7 @@ from edge_server.frame import (
     sensor_places,
 )
 from edge_server.fusion import Fusion, fusion_of
-from edge_server.lanes import Covered, LaneCoverage, LaneIndex
+from edge_server.lanes import LaneIndex
 from edge_server.misbehaviour import Check
 from edge_server.placing import Decode, Place, PlaceByReference
 from edge_server.tracking import Track
@@ -245,8 +246,9 @@ class Fuse(FrameStage):
             )
         state.fused = self._fusion.fuse(found, state.frame.poses)
         chunks = [chunk for chunk in state.frame.chunks if not chunk.is_undecodable]
-        scans = sensor_places(chunks)[:, :2]
-        state.sensors = np.concatenate([scans, self._detecting_agents(state.frame)])
+        cells = [state.frame.cells.get(chunk.agent) for chunk in chunks]
+        scans = SensorViews.of(sensor_places(chunks)[:, :2], cells)
+        state.sensors = scans.and_whole(self._detecting_agents(state.frame))
 
     def _detecting_agents(self, frame: Frame) -> Floats:
         """Returns the known positions (N, 2) of the agents that sent boxes."""

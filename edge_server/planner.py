@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from edge_server.completion import CellBorders, UploadProgress
+from edge_server.completion import CellBorders, UploadProgress, uploaded
 from edge_server.config import PlanConfig
 from edge_server.frame import Frame
-from edge_server.power_diagram import PLAIN, cells, partners, power_weights, voronoi_weights
+from edge_server.power_diagram import PLAIN, TIGHT, cells, partners, power_weights, voronoi_weights
 from perception.arrays import Floats
 from protocol.messages import NEVER_NS, AgentPose, Plan, Scan
 from protocol.roadmap import RoadMap
 from sensing.config import UploadConfig
+from sensing.limits import MAX_AGE_FRAMES
 from sensing.link_config import LinkConfig
 from sensing.radio import ENVELOPE_BYTES
 from sensing.upload_policies import Policy, policy_of
@@ -162,8 +163,27 @@ class SensorSites:
 
 
 AHEAD_FRAMES = 2  # a plan is followed so long after its frame: by then all agents have it
-KEPT_PLANS = 8
+KEPT_PLANS = MAX_AGE_FRAMES + AHEAD_FRAMES + 1  # no agent follows an older one
+_NOWHERE = np.zeros((0, 2)), np.zeros((0, 3))
 _BEYOND_M = 600.0  # around the lanes: farther than any sensor on the road sees
+
+
+@dataclass(slots=True, eq=False)
+class Partition:
+    """The cells of a plan, computed as they are asked for, by border."""
+
+    agents: list[str]
+    sites: Floats
+    weights_m2: Floats
+    _cells: dict[int, list[Floats]] = field(default_factory=dict)
+
+    def cell(self, agent: str, border: int, box: Floats) -> Floats:
+        """Returns an agent's cell (V, 2) within a box; an agent that it did not know has none."""
+        if agent not in self.agents or border < TIGHT:
+            return _NOWHERE[0]
+        if border not in self._cells:
+            self._cells[border] = cells(self.sites, self.weights_m2, box, border=border)
+        return self._cells[border][self.agents.index(agent)]
 
 
 class Planner:
@@ -184,6 +204,7 @@ class Planner:
         self._lead_ns = round(link.agent_compute_ms * 1e6)
         self._box = _box(road_map)
         self._borders: dict[int, CellBorders] = {}
+        self._partitions: dict[int, Partition] = {}
         self.sites = SensorSites()
         self.bandwidth = Bandwidth()
 
@@ -211,12 +232,11 @@ class Planner:
         weights_m2 = self._weights_m2(agents, places)
         first = frame.frame + AHEAD_FRAMES
         self._remember(first, agents, places, weights_m2)
-        nowhere = np.zeros((0, 2)), np.zeros((0, 3))
         plans = []
         for agent in frame.scanning:
             planned = agent in sites
             if planned or not self._lockstep:
-                site_array, weight_array = (places, weights_m2) if planned else nowhere
+                site_array, weight_array = (places, weights_m2) if planned else _NOWHERE
                 plans.append(
                     Plan(
                         frame=first,
@@ -251,6 +271,24 @@ class Planner:
         both_have_cells = self._vehicle.cells and self._roadside.cells
         return borders.covered(cut) and (both_have_cells or all(scan.is_whole for scan in others))
 
+    def cells_of(self, frame: Frame) -> dict[str, Floats]:
+        """Returns, by agent, the part of the scene (V, 2) that its chunks of a frame are of.
+
+        A convex polygon in CCW order, empty if it is of none or by a plan that is forgotten. Agents
+        that sent all that they see are left out.
+        """
+        found: dict[str, Floats] = {}
+        decoded = replace(frame, chunks=[one for one in frame.chunks if not one.is_undecodable])
+        came = {agent: scan.came for agent, scan in uploaded(decoded).items()}
+        for one in frame.chunks:
+            number = came.get(one.agent, 0)
+            is_whole = one.chunk_count > 1 and number == one.chunk_count
+            if one.plan_frame >= 0 and not is_whole and one.agent not in found:
+                partition = self._partitions.get(one.plan_frame, Partition([], *_NOWHERE))
+                border = PLAIN if one.chunk_count == number == 1 else number - 1
+                found[one.agent] = partition.cell(one.agent, border, self._box)
+        return found
+
     def _add_virtual(self, frame: Frame) -> None:
         """Adds, by agent, how long the chunks of a frame were on their virtual links."""
         sent_ns = frame.sim_time_ns + self._lead_ns
@@ -274,10 +312,13 @@ class Planner:
         return power_weights(places, np.array(mbps, np.float64), alpha=self._config.alpha)
 
     def _remember(self, frame: int, agents: list[str], places: Floats, weights_m2: Floats) -> None:
+        if agents:
+            self._partitions[frame] = Partition(agents, places, weights_m2)
         if self.ends_early:
             self._borders[frame] = borders_of(agents, places, weights_m2, self._box)
-            while len(self._borders) > KEPT_PLANS:
-                del self._borders[min(self._borders)]
+        for kept in (self._partitions, self._borders):
+            while len(kept) > KEPT_PLANS:
+                del kept[min(kept)]
 
 
 def borders_of(agents: list[str], sites: Floats, weights_m2: Floats, box: Floats) -> CellBorders:

@@ -176,7 +176,10 @@ class EdgeRole:
 
     def _begin(self, frame: Frame) -> None:
         """Runs a frame's stages; up to its end where there are no neighbours."""
-        cut = replace(self._cut(frame), signals=self._signals.before(frame.frame))
+        cut = self._cut(frame)
+        cut = replace(
+            cut, signals=self._signals.before(frame.frame), cells=self._planner.cells_of(cut)
+        )
         self._publish_plans(frame, cut)
         state = self._pipeline.begin(cut)
         self._assembler.drops.update(state.excluded)

@@ -179,7 +179,8 @@ class LaneCounts(Message):
     Stationary ones are counted once more, as `queued`, and all of them in passenger-car units (a
     lorry is worth several cars), as `pcu`. Those that no sensor saw in this frame, whose tracks
     coast, are counted once more, as `coasted`. `coverage` is the share of a lane's reach
-    within the range of a LiDAR whose scan was used, so that 0 is "not observed"; empty where it is
+    within the range of a LiDAR whose scan was used, and within the part of the scene that it is of
+    where an agent sends its own part, so that 0 is "not observed"; empty where it is
     unknown: agents send boxes of their own, or none has a LiDAR. `coverage_from_bar` is the part of
     the upstream one from the stop bar on to its first gap: who sees a lane's far end alone says
     nothing of its queue.

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from edge_server.border import MAX_KEPT_FRAMES, BorderExchange, BorderStrips
 from edge_server.config import EdgeConfig
+from edge_server.coverage import SensorViews
 from edge_server.frame import Frame, FrameState
 from edge_server.lanes import LaneIndex
 from edge_server.pipeline import Border, Count
@@ -57,7 +58,7 @@ class Edge:
         state = FrameState(frame)
         values = np.array(boxes, np.float64).reshape(-1, 7)
         state.fused = Vehicles.from_lidar(values, np.ones(len(values)))
-        state.sensors = NOWHERE
+        state.sensors = SensorViews.of(NOWHERE)
         return state, self.strips.message_of(state)
 
     def finish(self, state: FrameState, sent: dict[str, BorderObjects]) -> Detections:
@@ -193,7 +194,10 @@ def border_message(frame: int) -> BorderObjects:
 
 def waiting(exchange: BorderExchange, frame: int, wait_ns: int = 10**12) -> FrameState:
     state = FrameState(Frame(frame, 0, [], [], [], complete=True, first_ns=0, ready_ns=0))
-    state.fused, state.sensors = Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0)), NOWHERE
+    state.fused, state.sensors = (
+        Vehicles.from_lidar(np.zeros((0, 7)), np.zeros(0)),
+        SensorViews.of(NOWHERE),
+    )
     exchange.begin(state, wait_ns)
     return state
 
