@@ -11,6 +11,7 @@ from protocol.messages import ObjectClass
 PERSON = int(ObjectClass.PEDESTRIAN)
 SIZE_STD = 0.4  # of the logarithm of a length: boxes of one vehicle differ by its seen side
 SMALL_M = 2.6  # what is longer is no person; a bicycle may be taken for one
+TURNED_RAD = 0.9  # a vehicle of which there was one box only is not turned by more
 OTHER_COST = 4.0  # of a person taken for a two-wheeler
 JUMP_COST = 4.0  # of a box that is a track's own only if it jumped
 UNSURE_COST = 3.0  # of a track that is not confirmed
@@ -36,8 +37,9 @@ def associate(
     Args:
         mean: states (N, 6) as in `motion`, with covariances (N, 6, 6).
         covariance: see `mean`.
-        traits: of each track (N, 4) length, whether it is a person, existence, whether confirmed.
-        boxes: (M, 8): as detected, and whether it is a person.
+        traits: of each track (N, 5) length, whether it is a person, existence, whether confirmed,
+            whether on a lane.
+        boxes: (M, 9): as detected, whether it is a person, whether along a lane.
         std: deviations along, across and in heading (M, 3).
         jump_std: deviations along and across of a jump (2,).
         gate: the largest squared distance.
@@ -116,11 +118,17 @@ def _pairs(
             is_other = traits[n, 1] != boxes[m, 7]
             if is_other and max(traits[n, 0], boxes[m, 3]) > SMALL_M:
                 continue
+            turned = (boxes[m, 6] - mean[n, 2] + np.pi / 2) % np.pi - np.pi / 2
+            is_long = min(traits[n, 0], boxes[m, 3]) > SMALL_M
+            if is_long and not traits[n, 3] and abs(turned) > TURNED_RAD:
+                continue
             xx, yy, xy = _spread(boxes[m, 6], std[m, 0], std[m, 1])
             xx, yy, xy = p[0, 0] + xx, p[1, 1] + yy, p[0, 1] + xy
             d2, det = _distance2(x, y, xx, yy, xy)
             is_jump = d2 > gate
             if is_jump:
+                if traits[n, 4] and boxes[m, 8] and np.cos(boxes[m, 6] - mean[n, 2]) < 0.0:
+                    continue  # nobody changes to an oncoming lane
                 d2, det = _distance2(x, y, xx + jump_xx, yy + jump_yy, xy + jump_xy)
                 if d2 > gate:
                     continue

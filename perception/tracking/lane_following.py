@@ -14,7 +14,7 @@ from perception.tracking.lane_graph import GO, STOP, likeliest, place_at
 from perception.tracking.motion import spread
 
 STEP_S = 0.25  # of motion behind others
-ACCEL_MPS2 = 1.5  # of a driver who can
+ACCEL_MPS2 = 2.0  # of a driver who can
 BRAKE_MPS2 = 4.5
 REACTION_S = 1.0
 STANDSTILL_M = 2.5  # between two that stand

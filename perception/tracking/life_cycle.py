@@ -14,7 +14,7 @@ from perception.tracking import motion
 from perception.tracking.association import PERSON
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_following import BAR_M
-from perception.tracking.lane_graph import LaneGraph
+from perception.tracking.lane_graph import LaneGraph, likeliest
 from perception.tracking.places import overlapping
 from perception.tracking.sightlines import SightLines
 from perception.tracking.states import CLASSES, TrackStates
@@ -109,9 +109,18 @@ def place_on_lanes(
         lane, along_m = born.lane[n], born.along_m[n]
         room_m, leader_mps = np.inf, np.nan
         ahead = np.flatnonzero((every_lane == lane) & (every_along_m > along_m))
+        here, way_m = lane, -along_m
+        while not len(ahead) and not held[here] and way_m + lanes.length_m[here] < NEAR_M:
+            way = likeliest(here, lanes.leads, lanes.prior)
+            if way < 0:
+                break
+            way_m += lanes.length_m[here]
+            here = lanes.followers[way]
+            ahead = np.flatnonzero(every_lane == here)
         if len(ahead):
             leader = ahead[every_along_m[ahead].argmin()]
-            room_m, leader_mps = every_along_m[leader] - along_m - QUEUE_GAP_M, every_mps[leader]
+            room_m = way_m + every_along_m[leader] - QUEUE_GAP_M
+            leader_mps = every_mps[leader]
         near = room_m < NEAR_M and not np.isnan(leader_mps)
         if held[lane]:
             to_bar_m = lanes.length_m[lane] - along_m - born.dims[n, 1] / 2 - BAR_M

@@ -32,10 +32,10 @@ STEADY_ACCEL_STD_MPS2 = 1.5  # of an unknown one
 ROUGH = 0.02  # share of an acceleration's variance that changes at once
 ABEAM_M = 1.0  # beyond a box's end: a sensor that is not so far ahead or behind sees its side
 END_STD_M, END_STD_PER_M2 = 0.15, 4e-5  # of the measured end, and by its range squared
-CROSSWISE_RAD = 0.9  # a box that is turned by more is of two vehicles abreast: it lies across ...
-CROSSWISE_STD_M = 2.0  # ... its track and says little of where that is ...
+CROSSWISE_RAD = 0.9  # a box that is turned by more is of two vehicles abreast ...
 CROSSWISE_M = 3.0  # ... if it is so long ...
 SURE_YAW_STD = 0.15  # ... and the track's heading is known so well
+VAGUE_STD_M = 2.0  # of a box that says little of where its vehicle is
 BACKWARDS_MPS = 2.0  # nobody drives backwards faster: the heading is the reverse
 AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
 
@@ -144,8 +144,8 @@ def predict(
         yaw, v, w, a = mean[n, 2], mean[n, 3], mean[n, 4], mean[n, 5]
         if steady[n] or not free[n]:
             a = 0.0
-        if v + a * dt_s < 0.0 <= v:
-            a = -v / dt_s
+        if a < 0.0 and v + a * dt_s < 0.0:  # nobody brakes until he drives backwards
+            a = -max(v, 0.0) / dt_s
         way_m = v * dt_s + 0.5 * a * dt_s**2
         middle = yaw + (0.5 * w * dt_s if free[n] else 0.0)
         cos, sin = np.cos(middle), np.sin(middle)
@@ -236,9 +236,34 @@ def _is_crosswise(turned: float, variance: float, length_m: float, is_pose: floa
     )
 
 
+def known_ends(long_m: Floats, seen: Floats, ends_m: Floats) -> Floats:
+    """Returns by which end of boxes (N,) a vehicle's place was known: 1 front, -1 rear, 0 neither.
+
+    That is the one that was seen, or of both, or if neither was, the one turned to the sensor.
+    """
+    turned_to = np.where(np.abs(seen[:, 0]) > long_m / 2 + ABEAM_M, np.sign(seen[:, 0]), 0.0)
+    has_rear, has_front = ~np.isnan(ends_m).T
+    known = np.where(has_rear == has_front, turned_to, np.where(has_front, 1.0, -1.0))
+    return np.asarray(known * (seen[:, 2] == 0.0))
+
+
 @njit(
-    f"boolean[::1]({_STATE}, float64[::1], boolean[::1], int64[::1], float64[:,::1],"
-    " float64[:,::1], float64[:,::1], float64[:,::1])",
+    "boolean[::1](float64[:,::1], float64[:,:,::1], int64[::1], float64[:,::1], float64[:,::1])",
+    cache=True,
+)
+def abreast(mean: Floats, covariance: Floats, tracks: Ints, boxes: Floats, seen: Floats) -> Bools:
+    """Returns which boxes (M,) are of two vehicles abreast: they say nothing of a size."""
+    result = np.zeros(tracks.shape[0], np.bool_)
+    for m in range(tracks.shape[0]):
+        n = tracks[m]
+        turned = _half_turn(boxes[m, 6] - mean[n, 2])
+        result[m] = _is_crosswise(turned, covariance[n, 2, 2], boxes[m, 3], seen[m, 2])
+    return result
+
+
+@njit(
+    f"void({_STATE}, float64[::1], boolean[::1], int64[::1], float64[:,::1],"
+    " float64[:,::1], float64[:,::1], float64[:,::1], boolean[::1])",
     cache=True,
 )
 def correct(
@@ -251,19 +276,16 @@ def correct(
     std: Floats,
     seen: Floats,
     ends_m: Floats,
-) -> Bools:
+    vague: Bools,
+) -> None:
     """Corrects some states by boxes (M, 7) of deviations along, across and in heading (M, 3).
 
     A box's heading may be reversed. A track that keeps going backwards has a reversed heading
     itself; one that is `on_lane` (N,), where the road tells it, only if its box is turned the other
     way too. `seen` (M, 3) is as of `deviations`, `ends_m` (M, 2) as of `Vehicles`. Along, what
-    counts is an end, as of a vehicle of `length_m` (N,): see `_middle`. A box that lies across its
-    track is that of two vehicles abreast, and corrects little.
-
-    Returns:
-        Which boxes (M,) are of two vehicles abreast: they say nothing of a size.
+    counts is an end, as of a vehicle of `length_m` (N,): see `_middle`. `vague` boxes (M,), such as
+    those of two vehicles abreast, correct little.
     """
-    abreast = np.zeros(tracks.shape[0], np.bool_)
     axes = np.zeros((3, 6))
     axes[2, 2] = 1.0
     for m in range(tracks.shape[0]):
@@ -271,12 +293,10 @@ def correct(
         p = covariance[n]
         cos, sin = np.cos(boxes[m, 6]), np.sin(boxes[m, 6])
         axes[0, 0], axes[0, 1], axes[1, 0], axes[1, 1] = cos, sin, -sin, cos
-        turned = _half_turn(boxes[m, 6] - mean[n, 2])
-        if _is_crosswise(turned, p[2, 2], boxes[m, 3], seen[m, 2]):
+        if vague[m]:
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
-            _correct_by(mean[n], p, axes[0], cos * x + sin * y, CROSSWISE_STD_M**2)
-            _correct_by(mean[n], p, axes[1], cos * y - sin * x, CROSSWISE_STD_M**2)
-            abreast[m] = True
+            _correct_by(mean[n], p, axes[0], cos * x + sin * y, VAGUE_STD_M**2)
+            _correct_by(mean[n], p, axes[1], cos * y - sin * x, VAGUE_STD_M**2)
             continue
         for axis in range(2):
             x, y = boxes[m, 0] - mean[n, 0], boxes[m, 1] - mean[n, 1]
@@ -299,7 +319,6 @@ def correct(
                 p[i, :] *= -1
                 p[:, i] *= -1
         mean[n, 2] = (mean[n, 2] + np.pi) % (2 * np.pi) - np.pi
-    return abreast
 
 
 @njit(f"void({_STATE}, int64[::1], float64[::1])", cache=True)

@@ -11,9 +11,10 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
+from perception.object_classes import LONGEST_VEHICLE_M
 from perception.tracking import motion
 from perception.tracking.association import associate, is_person
-from perception.tracking.places import is_same
+from perception.tracking.places import is_same, nearest
 from perception.tracking.states import TrackStates
 
 POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
@@ -30,8 +31,11 @@ def pair(
     gate: float,
     jump_std: Floats,
     confirm_hits: int,
-) -> Ints:
+    along_lane: Bools,
+) -> tuple[Ints, Bools]:
     """Returns for each detection (M,) its track, an index or -1: an agent's own one first.
+
+    And which of them say little of where their tracks are.
 
     The states of tracks that jump get room for it.
 
@@ -43,10 +47,11 @@ def pair(
         gate: the largest squared distance, see `associate`.
         jump_std: along and across (2,), what a jump may be beyond noise.
         confirm_hits: detections that confirm a track.
+        along_lane: which detections (M,) lie along a lane.
     """
     pairs = np.full(len(observed), -1, np.int64)
     if not len(states):
-        return pairs
+        return pairs, np.zeros(len(observed), np.bool_)
     own = {owner: n for n, owner in enumerate(states.owner.tolist()) if owner != LIDAR}
     for m, source in enumerate(observed.sources):
         n = own.get(source, -1)
@@ -58,10 +63,37 @@ def pair(
         else:
             states.owner[n] = LIDAR
     confirmed = states.hits >= confirm_hits
-    jumped = _assign(states, observed, std, pairs, confirmed, jump_std=jump_std, gate=gate)
+    jumped = _assign(
+        states, observed, std, pairs, confirmed, along_lane, jump_std=jump_std, gate=gate
+    )
     motion.loosen(states.mean, states.covariance, jumped, motion.JUMPED_STD)
+    vague = _keep(states, observed, pairs, time_ns)
     _reclaim(states, observed, pairs, time_ns)
-    return pairs
+    return pairs, vague
+
+
+def _keep(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int) -> Bools:
+    """Gives what is left at the place of a track that was seen just now to it; marks it (M,).
+
+    Such a box is beyond the gate since it shows a part of the vehicle, not since it is another.
+    """
+    vague = np.zeros(len(observed), np.bool_)
+    boxes = np.flatnonzero(pairs < 0)
+    lately = (time_ns - states.last_ns) / 1e9 <= RECENT_S
+    tracks = np.flatnonzero(unpaired(pairs, len(states)) & lately)
+    if not len(boxes) or not len(tracks):
+        return vague
+    places, rows = states.boxes[tracks], np.ascontiguousarray(observed.boxes[boxes], np.float64)
+    apart_m = np.linalg.norm(rows[:, None, :2] - places[:, :2], axis=2)
+    person = is_person(states.votes[tracks].argmax(axis=1))
+    alike = is_person(observed.classes[boxes])[:, None] == person
+    for box in range(len(boxes)):
+        same = np.array([is_same(rows[box], place) for place in places], np.bool_)
+        apart_m[box, ~(same & alike[box])] = np.inf
+    found = nearest(apart_m, LONGEST_VEHICLE_M)
+    pairs[boxes[found >= 0]] = tracks[found[found >= 0]]
+    vague[boxes[found >= 0]] = True
+    return vague
 
 
 def _reclaim(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int) -> None:
@@ -111,6 +143,7 @@ def _assign(
     std: Floats,
     pairs: Ints,
     confirmed: Bools,
+    along_lane: Bools,
     *,
     jump_std: Floats,
     gate: float,
@@ -125,8 +158,10 @@ def _assign(
     found, jumped = associate(
         states.mean[tracks],
         states.covariance[tracks],
-        np.column_stack([length_m, person, existence, confirmed[tracks]]),
-        np.column_stack([observed.boxes[boxes], is_person(observed.classes[boxes])]),
+        np.column_stack([length_m, person, existence, confirmed[tracks], states.lane[tracks] >= 0]),
+        np.column_stack(
+            [observed.boxes[boxes], is_person(observed.classes[boxes]), along_lane[boxes]]
+        ),
         std[boxes],
         jump_std,
         gate,

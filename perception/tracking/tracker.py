@@ -92,10 +92,17 @@ class Tracker:
         self._predict(dt_s, signals or {})
         jump_std = motion.JUMP_STD if self._lanes is not None else motion.JUMP_STD_OFF_MAP
         gate, hits = self._config.gate, self._config.confirm_hits
-        pairs = pair(
-            self._states, observed, std, time_ns, gate=gate, jump_std=jump_std, confirm_hits=hits
+        pairs, vague = pair(
+            self._states,
+            observed,
+            std,
+            time_ns,
+            gate=gate,
+            jump_std=jump_std,
+            confirm_hits=hits,
+            along_lane=self._along_lane(observed.boxes),
         )
-        self._correct(time_ns, observed, std, seen, pairs)
+        self._correct(time_ns, observed, std, seen, pairs, vague)
         lower_existence(self._states, time_ns, dt_s, visible, self._config)
         exist = self._states.existence >= self._config.min_existence
         if not exist.all():
@@ -187,7 +194,7 @@ class Tracker:
         motion.predict(
             states.mean, states.covariance, dt_s, accel, config.turn_std_rps, free, steady
         )
-        if self._lanes is not None and not free.all():
+        if self._lanes is not None:
             self._follow_lanes(dt_s, free, signals)
 
     def _follow_lanes(self, dt_s: float, free: Bools, signals: Mapping[str, str]) -> None:
@@ -202,7 +209,13 @@ class Tracker:
         )  # fmt: skip
 
     def _correct(
-        self, time_ns: int, observed: Vehicles, std: Floats, seen_from: Floats, pairs: Ints
+        self,
+        time_ns: int,
+        observed: Vehicles,
+        std: Floats,
+        seen_from: Floats,
+        pairs: Ints,
+        vague: Bools,
     ) -> None:
         states = self._states
         states.seen[:] = False
@@ -212,31 +225,39 @@ class Tracker:
         if not len(tracks):
             return
         seen = observed.take(matched)
-        abreast = motion.correct(
+        boxes = np.ascontiguousarray(seen.boxes)
+        states.hits[tracks] += 1
+        vague = vague[matched] | motion.abreast(
+            states.mean, states.covariance, tracks, boxes, seen_from[matched]
+        )
+        self._measure(tracks[~vague], seen.take(~vague), seen_from[matched][~vague])
+        motion.correct(
             states.mean,
             states.covariance,
             np.ascontiguousarray(states.dims[:, 1]),
             states.lane >= 0,
             tracks,
-            np.ascontiguousarray(seen.boxes),
+            boxes,
             std[matched],
             seen_from[matched],
             np.ascontiguousarray(seen.ends_m),
+            vague,
         )
         np.clip(states.mean[:, 3], -FASTEST_MPS, FASTEST_MPS, out=states.mean[:, 3])
         states.seen[tracks] = True
-        states.hits[tracks] += 1
         states.last_ns[tracks] = time_ns
         states.score[tracks] = seen.scores
         states.existence[tracks] = raised_existence(states.existence[tracks])
-        self._measure(tracks[~abreast], seen.take(~abreast))
         states.votes[tracks, seen.classes] += seen.scores
         for n, source in zip(tracks.tolist(), seen.sources, strict=True):
             if source != LIDAR:
                 states.owner[n] = source
 
-    def _measure(self, tracks: Ints, seen: Vehicles) -> None:
-        """Takes the means of sizes; of lengths, once both ends were seen, of those alone."""
+    def _measure(self, tracks: Ints, seen: Vehicles, seen_from: Floats) -> None:
+        """Takes the means of sizes; of lengths, once both ends were seen, of those alone.
+
+        The end turned to the sensor, by which a vehicle's place is known, stays where it is.
+        """
         states = self._states
         length_m = seen.whole_lengths_m()
         whole = ~np.isnan(length_m)
@@ -246,6 +267,13 @@ class Tracker:
         new = 1 / np.minimum(new, SIZES)
         new[~whole & (wholes > 0), 0] = 0.0
         sizes_m = np.column_stack([np.where(whole, length_m, seen.boxes[:, 3]), seen.boxes[:, 4:6]])
+        known = motion.known_ends(seen.boxes[:, 3], seen_from, seen.ends_m)
+        more_m = new[:, 0] * (sizes_m[:, 0] - states.dims[tracks, 1])
+        yaw = states.mean[tracks, 2]
+        ahead = np.cos(seen.boxes[:, 6] - yaw) >= 0.0  # a box's heading may be reversed
+        back_m = np.where(ahead, known, -known) * more_m / 2
+        states.mean[tracks, 0] -= back_m * np.cos(yaw)
+        states.mean[tracks, 1] -= back_m * np.sin(yaw)
         states.dims[tracks, 1:] += new * (sizes_m - states.dims[tracks, 1:])
         states.dims[tracks, 0] = seen.boxes[:, 2]
 
@@ -272,6 +300,12 @@ class Tracker:
             sure = self._states.hits >= self._config.confirm_hits
             place_on_lanes(result, self._states, sure, self._lanes, self._lanes.held(signals))
         return result
+
+    def _along_lane(self, boxes: Floats) -> Bools:
+        """Marks the boxes (N, 7) that lie along a lane, in its direction."""
+        if self._lanes is None:
+            return np.zeros(len(boxes), np.bool_)
+        return np.asarray(self._lanes.locate(boxes)[0] >= 0)
 
     def _locate(self, dt_s: float) -> None:
         """Finds the lanes of detected tracks; learns how fast they drive and where they turn."""

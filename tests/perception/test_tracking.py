@@ -181,8 +181,8 @@ def test_a_change_of_lane_is_not_given_to_a_track_that_may_be_anywhere() -> None
 def test_however_dear_all_pairs_are_none_outside_the_gates_is_chosen() -> None:
     mean, covariance = np.zeros((2, 6)), np.tile(60.0**2 * np.eye(6), (2, 1, 1))
     mean[1, 0] = 300.0
-    boxes = np.column_stack([cars((-100, 0), (150, 0)).boxes, np.zeros(2)])
-    traits = np.tile([4.5, 0.0, 0.9, 1.0], (2, 1))
+    boxes = np.column_stack([cars((-100, 0), (150, 0)).boxes, np.zeros((2, 2))])
+    traits = np.tile([4.5, 0.0, 0.9, 1.0, 1.0], (2, 1))
     std = np.full((2, 3), 0.3)
     found, _ = associate(mean, covariance, traits, boxes, std, np.array([1.5, 1.3]), 9.0)
     assert found[0] != 1  # 400 m away, where the gate is 180 m
@@ -764,3 +764,108 @@ def test_an_agent_that_is_distrusted_is_not_there_any_more() -> None:
         tracker.step(k * DT, cars((50, 0), source="liar"), NOBODY)
     tracker.distrust({"liar"}, np.zeros((0, 2)), 100.0)
     assert len(tracker.step(20 * DT, cars(), NOBODY)) == 0
+
+
+def errors_mps(tracks: list[Tracks], truth_mps: list[float]) -> np.ndarray:
+    """Returns by how much the only track of each frame is too fast."""
+    return np.array([one.speeds_mps[0] - v for one, v in zip(tracks, truth_mps, strict=True)])
+
+
+def test_the_first_frame_in_which_a_vehicle_is_hidden_is_not_lost() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 13.9, 30)
+    for k in range(30, 40):
+        (box,) = tracker.step(k * DT, cars(), NOBODY).boxes
+        assert box[0] == pytest.approx(1.39 * k, abs=0.3)
+
+
+def test_who_stops_does_not_drive_backwards() -> None:
+    errors = []
+    for seed in range(10):
+        rng, tracker = np.random.default_rng(seed), Tracker(CONFIG, STRAIGHT)
+        at_m, v, tracks, truth_mps = 0.0, 13.9, [], []
+        for k in range(110):
+            after = max(v - 0.4, 0.0) if k > 50 else v
+            at_m, v = at_m + (v + after) / 20, after
+            truth_mps.append(v)
+            tracks.append(tracker.step(k * DT, cars((at_m + rng.normal(0, 0.05), 0)), NOBODY))
+        errors.append(errors_mps(tracks[85:95], truth_mps[85:95]))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.2
+    assert np.mean(errors) > -0.1
+
+
+@pytest.mark.parametrize("length_m", [3.9, 4.5, 4.9])
+def test_a_length_that_turns_out_to_be_another_moves_no_end_that_was_seen(length_m: float) -> None:
+    """A car is completed to 4.5 m from the end that is seen, then seen whole, then from behind."""
+    tracker, errors = Tracker(CONFIG, STRAIGHT), []
+    for k in range(140):
+        at_m, half_m = 50.0 + k, length_m / 2
+        front_m, rear_m = at_m + half_m, at_m - half_m
+        ends_m = (-half_m, half_m)
+        if k < 50:
+            rear_m, ends_m = front_m - 4.5, (np.nan, 2.25)
+        elif k > 90:
+            front_m, ends_m = rear_m + 4.5, (-2.25, np.nan)
+        box = np.array([((front_m + rear_m) / 2, 0, 0.75, front_m - rear_m, 1.8, 1.5, 0)])
+        found = replace(Vehicles.from_lidar(box, np.ones(1)), ends_m=np.array([ends_m]))
+        tracks = tracker.step(k * DT, found, seen_from(120.0))
+        errors.append(tracks.speeds_mps[0] - 10.0)
+    assert np.abs(errors[30:]).max() < 0.15
+    assert tracks.boxes[0, 3] == pytest.approx(length_m, abs=0.05)
+
+
+def test_nobody_changes_to_an_oncoming_lane() -> None:
+    """A vehicle is hidden as another one comes into view beside it, on the oncoming lane."""
+    lanes = road(lane("a", (0, 0), (400, 0)), lane("b", (400, 3.5), (0, 3.5)))
+    tracker = Tracker(CONFIG, lanes)
+    follow(tracker, 10.0, 30)
+    for k in range(30, 50):
+        here = cars((81 - k, 3.5, np.pi)) if k >= 40 else cars()
+        tracks = tracker.step(k * DT, here, seen_from(40.0))
+    places = dict(zip(tracks.track_ids.tolist(), tracks.boxes[:, :2].tolist(), strict=True))
+    assert places == {
+        1: pytest.approx([49, 0], abs=1.0),
+        2: pytest.approx([32, 3.5], abs=0.3),
+    }
+
+
+def test_a_false_box_that_was_turned_otherwise_is_not_the_next_vehicle() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    tracker.step(0, cars((50, 3, 1.5)), NOBODY)
+    for k in range(5, 15):
+        tracks = tracker.step(k * DT, cars((50 + 1.5 * (k - 5), 0)), NOBODY)
+        vehicle = tracks.take(np.abs(tracks.boxes[:, 1]) < 1)
+        assert vehicle.track_ids.tolist() == [2]
+        assert vehicle.speeds_mps[0] == pytest.approx(15, abs=3)
+
+
+def test_a_part_of_a_vehicle_is_not_a_new_one_and_says_little_of_where_that_is() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(40):
+        tracker.step(k * DT, cars((10 + k, 0), (15 + k, 0)), NOBODY)
+    ahead, part = (55, 0, 0.75, 4.5, 1.8, 1.5, 0), (51.2, 0.6, 0.75, 0.8, 0.8, 1.5, 0)
+    found = Vehicles.from_lidar(np.array([ahead, part]), np.full(2, 0.9))
+    tracks = tracker.step(40 * DT, found, NOBODY)
+    assert tracks.track_ids.tolist() == [1, 2]
+    assert tracks.coasted_s.tolist() == [0, 0]
+    assert tracks.boxes[0, :2] == pytest.approx([50, 0], abs=0.3)
+    assert tracks.speeds_mps[0] == pytest.approx(10, abs=0.5)
+
+
+def test_a_new_vehicle_stands_behind_one_that_stands_on_the_next_lane() -> None:
+    lanes = road(lane("a", (0, 0), (100, 0), after=("b",)), lane("b", (100, 0), (200, 0)))
+    tracker = Tracker(CONFIG, lanes)
+    for k in range(10):
+        tracker.step(k * DT, cars((103, 0)), NOBODY)
+    tracks = tracker.step(10 * DT, cars((103, 0), (95.5, 0)), NOBODY)
+    assert np.abs(tracks.speeds_mps).max() < 0.3
+
+
+def test_a_hidden_queue_starts_as_drivers_do() -> None:
+    """Two metres a second faster each second: SUMO's drivers, and what most do."""
+    tracker = Tracker(CONFIG, crossing())
+    for k in range(20):
+        tracker.step(k * DT, cars((96, 0)), NOBODY, {"J": "r"})
+    for k in range(20, 50):
+        tracks = tracker.step(k * DT, cars(), seen_from(60.0), {"J": "G"})
+    assert tracks.speeds_mps[0] == pytest.approx(6.0, abs=1.0)
