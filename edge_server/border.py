@@ -57,6 +57,7 @@ class BorderStrips:
         for strip in self._strips.values():
             inside |= strip.contains(state.fused.boxes)
         found = state.fused.take(inside)
+        whole_m = state.sensors.places_m[state.sensors.numbers < 0]
         return BorderObjects(
             frame=state.frame.frame,
             sim_time_ns=state.frame.sim_time_ns,
@@ -65,7 +66,7 @@ class BorderStrips:
             classes=found.classes,
             sources=found.sources,
             position_std_m=found.position_std_m.astype(np.float32),
-            sensors=state.sensors.places_m[self._is_near(state.sensors.places_m)],
+            sensors=whole_m[self._is_near(whole_m)],
             **self._tracks(),
         )
 

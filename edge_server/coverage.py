@@ -124,6 +124,7 @@ class _Side:
 @njit("boolean(float64, float64, float64[:,::1], int64)", cache=True, nogil=True)
 def _is_inside(x: float, y: float, corners: Floats, number: int) -> bool:
     """Whether a place lies in a convex polygon (V, 2) of so many corners, in CCW order."""
+    has_area = False
     for corner in range(number):
         x0, y0 = corners[corner]
         x1, y1 = corners[(corner + 1) % number]
@@ -131,7 +132,8 @@ def _is_inside(x: float, y: float, corners: Floats, number: int) -> bool:
         is_edge = abs(along_x) + abs(along_y) > LEAST_EDGE_M  # a shorter one has no direction
         if is_edge and along_x * (y - y0) - along_y * (x - x0) < 0.0:
             return False
-    return number > 0
+        has_area |= is_edge
+    return has_area
 
 
 @njit(

@@ -115,7 +115,7 @@ def join(parts: Sequence[Vehicles], *, centres: Floats, config: FusionConfig) ->
     both = own + left.take(_ranked(left, centres))
     gone = np.zeros(len(both), np.bool_)
     same = _same(both.boxes, both.boxes, config) & _alike(both.classes)
-    if config.rule != "radius":
+    if config.rule != "radius" and (both.classes == ObjectClass.TWO_WHEELER).any():
         same &= _overlap(both.boxes) | ~_with_two_wheeler(both.classes)
     for index in range(len(both)):
         if not gone[index] and both.position_std_m[index] <= CERTAIN_STD_M:
@@ -169,7 +169,8 @@ def _ranked(found: Vehicles, centres: Floats) -> Ints:
 def _claimed(own: Vehicles, found: Vehicles, config: FusionConfig) -> Bools:
     """Marks the boxes that belong to agents whose poses are uncertain: the nearest for each.
 
-    Pairs are made nearest first, up to a standard deviation more than the rule allows.
+    Pairs are made nearest first, up to a standard deviation more than the rule allows along and
+    across, and three of the height: a box on another level is farther by what lies between.
     """
     claimed = np.zeros(len(found), np.bool_)
     is_vehicle = found.classes != ObjectClass.PEDESTRIAN

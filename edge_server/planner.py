@@ -12,7 +12,15 @@ import numpy as np
 from edge_server.completion import CellBorders, UploadProgress, uploaded
 from edge_server.config import PlanConfig
 from edge_server.frame import Frame
-from edge_server.power_diagram import PLAIN, TIGHT, cells, partners, power_weights, voronoi_weights
+from edge_server.power_diagram import (
+    PLAIN,
+    TIGHT,
+    WIDE,
+    cells,
+    partners,
+    power_weights,
+    voronoi_weights,
+)
 from perception.arrays import Floats
 from protocol.messages import NEVER_NS, AgentPose, Plan, Scan
 from protocol.roadmap import RoadMap
@@ -282,7 +290,7 @@ class Planner:
         came = {agent: scan.came for agent, scan in uploaded(decoded).items()}
         for one in frame.chunks:
             number = came.get(one.agent, 0)
-            is_whole = one.chunk_count > 1 and number == one.chunk_count
+            is_whole = number > WIDE + 1 or 1 < one.chunk_count == number
             if one.plan_frame >= 0 and not is_whole and one.agent not in found:
                 partition = self._partitions.get(one.plan_frame, Partition([], *_NOWHERE))
                 border = PLAIN if one.chunk_count == number == 1 else number - 1

@@ -39,10 +39,14 @@ class FrameRows(Generic[R]):
 
 
 def truth_by_frame(run: Run) -> Iterator[tuple[int, list[TruthRow]]]:
-    """Yields each frame with its vehicles and pedestrians; nothing where no truth was recorded."""
+    """Yields each frame that was simulated, with its vehicles and pedestrians.
+
+    Nothing where no truth was recorded. A frame whose truth was lost looks like an empty one.
+    """
     truth = FrameRows(run.rows(TruthRow))
     if truth.any:
-        for (frame,) in run.query("SELECT frame FROM frames ORDER BY frame"):
+        sql = "SELECT frame FROM frames WHERE tick_ns IS NOT NULL ORDER BY frame"
+        for (frame,) in run.query(sql):
             yield frame, truth.of(frame)
 
 

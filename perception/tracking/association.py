@@ -11,7 +11,7 @@ from protocol.messages import ObjectClass
 PERSON = int(ObjectClass.PEDESTRIAN)
 SIZE_STD = 0.4  # of the logarithm of a length: boxes of one vehicle differ by its seen side
 SMALL_M = 2.6  # what is longer is no person; a bicycle may be taken for one
-TURNED_RAD = 0.9  # a vehicle of which there was one box only is not turned by more
+TURNED_RAD = 0.9  # a vehicle that is not confirmed is not turned by more
 OTHER_COST = 4.0  # of a person taken for a two-wheeler
 JUMP_COST = 4.0  # of a box that is a track's own only if it jumped
 UNSURE_COST = 3.0  # of a track that is not confirmed
@@ -41,7 +41,7 @@ def associate(
             whether on a lane.
         boxes: (M, 9): as detected, whether it is a person, whether along a lane.
         std: deviations along, across and in heading (M, 3).
-        jump_std: deviations along and across of a jump (2,).
+        jump_std: deviations along and across of jumps of each kind (K, 2).
         gate: the largest squared distance.
     """
     result, jumped = np.full(len(boxes), -1, np.int64), np.zeros(len(boxes), np.bool_)
@@ -82,9 +82,36 @@ def _spread(yaw: float, along_m: float, across_m: float) -> tuple[float, float, 
     return a * cos * cos + b * sin * sin, a * sin * sin + b * cos * cos, (a - b) * cos * sin
 
 
+@njit("boolean(float64, float64[::1], float64[::1])", cache=True)
+def _may_be(yaw: float, traits: Floats, box: Floats) -> bool:
+    """Whether a box (9,) may be of a track (5,) by its kind and heading: see `associate`."""
+    if traits[1] != box[7] and max(traits[0], box[3]) > SMALL_M:
+        return False
+    if traits[3] != 0.0 or min(traits[0], box[3]) <= SMALL_M:
+        return True
+    return bool(abs((box[6] - yaw + np.pi / 2) % np.pi - np.pi / 2) <= TURNED_RAD)
+
+
+@njit(
+    "UniTuple(float64, 2)(float64, float64, UniTuple(float64, 3), float64, float64[:,::1])",
+    cache=True,
+)
+def _jump2(
+    x: float, y: float, spread: tuple[float, float, float], yaw: float, jump_std: Floats
+) -> tuple[float, float]:
+    """Returns what `_distance2` does, with the kind of jump (K, 2) by which it is the least."""
+    least, least_det = np.inf, 1.0
+    for kind in range(jump_std.shape[0]):
+        xx, yy, xy = _spread(yaw, jump_std[kind, 0], jump_std[kind, 1])
+        d2, det = _distance2(x, y, spread[0] + xx, spread[1] + yy, spread[2] + xy)
+        if d2 < least:
+            least, least_det = d2, det
+    return least, least_det
+
+
 @njit(
     "Tuple((int64[::1], int64[::1], float64[::1], boolean[::1]))(float64[:,::1], float64[:,:,::1], "
-    "float64[:,::1], float64[:,::1], float64[:,::1], float64[::1], float64)",
+    "float64[:,::1], float64[:,::1], float64[:,::1], float64[:,::1], float64)",
     cache=True,
 )
 def _pairs(
@@ -101,12 +128,11 @@ def _pairs(
     box, track, cost = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
     jumps = np.empty(room, np.bool_)
     count = 0
-    jump2 = jump_std[0] ** 2 + jump_std[1] ** 2
+    jump2 = (jump_std**2).sum(axis=1).max()
     by_x = np.argsort(boxes[:, 0])
     sorted_x, most_std2 = boxes[by_x, 0], (std[:, 0] ** 2).max()
     for n in range(mean.shape[0]):
         p = covariance[n]
-        jump_xx, jump_yy, jump_xy = _spread(mean[n, 2], jump_std[0], jump_std[1])
         reach2 = gate * (p[0, 0] + p[1, 1] + jump2 + 2.0)
         doubt = -2 * np.log(max(traits[n, 2], 1e-3)) + (0.0 if traits[n, 3] else UNSURE_COST)
         far = np.sqrt(reach2 + gate * most_std2)
@@ -116,11 +142,7 @@ def _pairs(
             if x * x + y * y > reach2 + gate * std[m, 0] ** 2:
                 continue
             is_other = traits[n, 1] != boxes[m, 7]
-            if is_other and max(traits[n, 0], boxes[m, 3]) > SMALL_M:
-                continue
-            turned = (boxes[m, 6] - mean[n, 2] + np.pi / 2) % np.pi - np.pi / 2
-            is_long = min(traits[n, 0], boxes[m, 3]) > SMALL_M
-            if is_long and not traits[n, 3] and abs(turned) > TURNED_RAD:
+            if not _may_be(mean[n, 2], traits[n], boxes[m]):
                 continue
             xx, yy, xy = _spread(boxes[m, 6], std[m, 0], std[m, 1])
             xx, yy, xy = p[0, 0] + xx, p[1, 1] + yy, p[0, 1] + xy
@@ -129,7 +151,7 @@ def _pairs(
             if is_jump:
                 if traits[n, 4] and boxes[m, 8] and np.cos(boxes[m, 6] - mean[n, 2]) < 0.0:
                     continue  # nobody changes to an oncoming lane
-                d2, det = _distance2(x, y, xx + jump_xx, yy + jump_yy, xy + jump_xy)
+                d2, det = _jump2(x, y, (xx, yy, xy), mean[n, 2], jump_std)
                 if d2 > gate:
                     continue
             longer = np.log(max(boxes[m, 3], 0.3) / max(traits[n, 0], 0.3)) / SIZE_STD

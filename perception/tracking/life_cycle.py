@@ -6,6 +6,8 @@ Without one it falls: fast where its place is in plain view of a sensor, slowly 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from perception.arrays import Bools, Floats
@@ -20,6 +22,7 @@ from perception.tracking.sightlines import SightLines
 from perception.tracking.states import CLASSES, TrackStates
 
 NEAR_M = 40.0  # the vehicle ahead says more of a new track's speed if it is no farther
+MOST_LANES_AHEAD = 8
 NEAR_STD_MPS, ROOM_STD_MPS = 4.0, 6.0  # deviations of a speed by such a one, or by the room alone
 QUEUE_GAP_M, TIME_GAP_S = 7.5, 1.5  # from one vehicle's middle to the next's, standing and driving
 UNKNOWN_MPS = 8.0  # deviation of the speed of who was seen once, off the map
@@ -85,7 +88,12 @@ def _whole_boxes(new: Vehicles) -> Floats:
 
 
 def place_on_lanes(
-    born: TrackStates, known: TrackStates, sure: Bools, lanes: LaneGraph, held: Bools
+    born: TrackStates,
+    known: TrackStates,
+    sure: Bools,
+    lanes: LaneGraph,
+    trips: Floats,
+    held: Bools,
 ) -> None:
     """Gives new tracks their lanes, and speeds as fit the room ahead and who drives there.
 
@@ -96,6 +104,7 @@ def place_on_lanes(
         known: all others, located in this frame.
         sure: which of these have a speed that is known.
         lanes: of the map.
+        trips: that were seen to take each connection (E,).
         held: see `LaneGraph.held`.
     """
     born.lane, born.along_m, born.off_m = lanes.locate(born.boxes)
@@ -108,25 +117,36 @@ def place_on_lanes(
     for n in np.flatnonzero(born.lane >= 0):
         lane, along_m = born.lane[n], born.along_m[n]
         room_m, leader_mps = np.inf, np.nan
-        ahead = np.flatnonzero((every_lane == lane) & (every_along_m > along_m))
-        here, way_m = lane, -along_m
-        while not len(ahead) and not held[here] and way_m + lanes.length_m[here] < NEAR_M:
-            way = likeliest(here, lanes.leads, lanes.prior)
-            if way < 0:
+        for here, way_m in _lanes_ahead(lane, along_m, lanes, trips, held):
+            ahead = np.flatnonzero((every_lane == here) & (way_m + every_along_m > 0.0))
+            if len(ahead):
+                leader = ahead[every_along_m[ahead].argmin()]
+                room_m = way_m + every_along_m[leader] - QUEUE_GAP_M
+                leader_mps = every_mps[leader]
                 break
-            way_m += lanes.length_m[here]
-            here = lanes.followers[way]
-            ahead = np.flatnonzero(every_lane == here)
-        if len(ahead):
-            leader = ahead[every_along_m[ahead].argmin()]
-            room_m = way_m + every_along_m[leader] - QUEUE_GAP_M
-            leader_mps = every_mps[leader]
         near = room_m < NEAR_M and not np.isnan(leader_mps)
         if held[lane]:
             to_bar_m = lanes.length_m[lane] - along_m - born.dims[n, 1] / 2 - BAR_M
             room_m = min(room_m, to_bar_m)
         born.mean[n, 3] = _birth_speed(room_m, leader_mps, lanes.speed_mps[lane])
         born.covariance[n, 3, 3] = (NEAR_STD_MPS if near else ROOM_STD_MPS) ** 2
+
+
+def _lanes_ahead(
+    lane: int, along_m: float, lanes: LaneGraph, trips: Floats, held: Bools
+) -> Iterator[tuple[int, float]]:
+    """Yields a place's lane and the likeliest ones after it, and the way to the start of each.
+
+    As far as `NEAR_M`, and not past a light that holds.
+    """
+    way_m = -along_m
+    for _ in range(MOST_LANES_AHEAD):
+        yield lane, way_m
+        way_m += lanes.length_m[lane]
+        way = likeliest(lane, lanes.leads, trips)
+        if way < 0 or held[lane] or way_m >= NEAR_M:
+            return
+        lane = int(lanes.followers[way])
 
 
 def _birth_speed(room_m: float, leader_mps: float, limit_mps: float) -> float:

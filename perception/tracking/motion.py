@@ -23,8 +23,10 @@ BOX_STD = np.array([0.35, 0.2, 0.08])  # of a box near a sensor: along, across, 
 FAR_STD, FAR_M = 0.015, 40.0  # along, more for each metre beyond: only an end is seen
 NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
 POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside the deviation that it states
-JUMP_STD = np.array([1.5, 1.3])  # along, across (a lane is 3.5 m wide)
-JUMP_STD_OFF_MAP = np.array([0.5, 0.5])
+SIDE_STD_M = np.array([1.5, 0.4])  # along, across: of a jump as another side comes into view
+CHANGE_STD_M = np.array([0.4, 1.3])  # of a change of lane, which is 3.5 m wide
+CHANGE_STD_MPS = 1.5  # along, as the time from frame to frame allows
+JUMP_STD_OFF_MAP_M = np.array([(0.5, 0.5)])
 JUMPED_STD = np.array([0.3, 1.3, 0.0])  # of what has jumped: a change of lane, or another side seen
 TURN_LIFE_S = 1.0  # of a yaw rate: curves end
 ACCEL_LIFE_S = 4.0  # of an acceleration
@@ -36,8 +38,17 @@ CROSSWISE_RAD = 0.9  # a box that is turned by more is of two vehicles abreast .
 CROSSWISE_M = 3.0  # ... if it is so long ...
 SURE_YAW_STD = 0.15  # ... and the track's heading is known so well
 VAGUE_STD_M = 2.0  # of a box that says little of where its vehicle is
+STANDS_MPS = 0.5  # whoever seems to drive backwards so slowly stands
 BACKWARDS_MPS = 2.0  # nobody drives backwards faster: the heading is the reverse
 AWAY, TOWARDS = 2.5, 3.0  # deviations: an end farther off weighs less
+
+
+def jumps(dt_s: float, *, on_map: bool) -> Floats:
+    """Returns deviations along and across (K, 2) of each kind of jump between two frames."""
+    if not on_map:
+        return JUMP_STD_OFF_MAP_M
+    along_m = np.clip(CHANGE_STD_MPS * dt_s, CHANGE_STD_M[0], SIDE_STD_M[0])
+    return np.array([SIDE_STD_M, (along_m, CHANGE_STD_M[1])])
 
 
 def deviations(observed: Vehicles, visible: SightLines | None) -> tuple[Floats, Floats]:
@@ -144,7 +155,7 @@ def predict(
         yaw, v, w, a = mean[n, 2], mean[n, 3], mean[n, 4], mean[n, 5]
         if steady[n] or not free[n]:
             a = 0.0
-        if a < 0.0 and v + a * dt_s < 0.0:  # nobody brakes until he drives backwards
+        if a < 0.0 and v > -STANDS_MPS and v + a * dt_s < 0.0:  # nobody brakes to drive backwards
             a = -max(v, 0.0) / dt_s
         way_m = v * dt_s + 0.5 * a * dt_s**2
         middle = yaw + (0.5 * w * dt_s if free[n] else 0.0)

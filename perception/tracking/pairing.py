@@ -1,7 +1,8 @@
 """Pairing of a frame's detections with tracks.
 
-An agent's own pose is that of its track; all else is assigned at once (`association`); then an
-older track takes back a detection that a younger one holds at its place.
+An agent's own pose is that of its track; all else is assigned at once (`association`); what is left
+at the place of a track is a part of it; then an older track takes back a detection that a younger
+one holds at its place.
 """
 
 from __future__ import annotations
@@ -11,10 +12,9 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
-from perception.object_classes import LONGEST_VEHICLE_M
 from perception.tracking import motion
 from perception.tracking.association import associate, is_person
-from perception.tracking.places import is_same, nearest
+from perception.tracking.places import is_same
 from perception.tracking.states import TrackStates
 
 POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
@@ -45,7 +45,7 @@ def pair(
         std: their deviations (M, 3), see `motion.deviations`.
         time_ns: of the frame.
         gate: the largest squared distance, see `associate`.
-        jump_std: along and across (2,), what a jump may be beyond noise.
+        jump_std: along and across (K, 2), what jumps of each kind may be beyond noise.
         confirm_hits: detections that confirm a track.
         along_lane: which detections (M,) lie along a lane.
     """
@@ -67,12 +67,14 @@ def pair(
         states, observed, std, pairs, confirmed, along_lane, jump_std=jump_std, gate=gate
     )
     motion.loosen(states.mean, states.covariance, jumped, motion.JUMPED_STD)
-    vague = _keep(states, observed, pairs, time_ns)
+    vague = _keep(states, observed, pairs, confirmed, time_ns)
     _reclaim(states, observed, pairs, time_ns)
     return pairs, vague
 
 
-def _keep(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int) -> Bools:
+def _keep(
+    states: TrackStates, observed: Vehicles, pairs: Ints, confirmed: Bools, time_ns: int
+) -> Bools:
     """Gives what is left at the place of a track that was seen just now to it; marks it (M,).
 
     Such a box is beyond the gate since it shows a part of the vehicle, not since it is another.
@@ -80,20 +82,39 @@ def _keep(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int) ->
     vague = np.zeros(len(observed), np.bool_)
     boxes = np.flatnonzero(pairs < 0)
     lately = (time_ns - states.last_ns) / 1e9 <= RECENT_S
-    tracks = np.flatnonzero(unpaired(pairs, len(states)) & lately)
+    tracks = np.flatnonzero(unpaired(pairs, len(states)) & confirmed & lately)
     if not len(boxes) or not len(tracks):
         return vague
-    places, rows = states.boxes[tracks], np.ascontiguousarray(observed.boxes[boxes], np.float64)
-    apart_m = np.linalg.norm(rows[:, None, :2] - places[:, :2], axis=2)
-    person = is_person(states.votes[tracks].argmax(axis=1))
-    alike = is_person(observed.classes[boxes])[:, None] == person
-    for box in range(len(boxes)):
-        same = np.array([is_same(rows[box], place) for place in places], np.bool_)
-        apart_m[box, ~(same & alike[box])] = np.inf
-    found = nearest(apart_m, LONGEST_VEHICLE_M)
-    pairs[boxes[found >= 0]] = tracks[found[found >= 0]]
-    vague[boxes[found >= 0]] = True
+    rows = np.ascontiguousarray(observed.boxes, np.float64)
+    person = is_person(states.votes.argmax(axis=1)) > 0
+    people = is_person(observed.classes) > 0
+    of_box, of_track, apart_m = _at_place(boxes, tracks, rows, states.boxes, people, person)
+    for pair in np.argsort(apart_m, kind="stable").tolist():
+        box, track = of_box[pair], of_track[pair]
+        if pairs[box] < 0 and track in tracks:
+            pairs[box], vague[box] = track, True
+            tracks = tracks[tracks != track]
     return vague
+
+
+@njit(
+    "Tuple((int64[::1], int64[::1], float64[::1]))(int64[::1], int64[::1], float64[:,::1],"
+    " float64[:,::1], boolean[::1], boolean[::1])",
+    cache=True,
+)
+def _at_place(
+    boxes: Ints, tracks: Ints, rows: Floats, places: Floats, is_person: Bools, person: Bools
+) -> tuple[Ints, Ints, Floats]:
+    """Returns which boxes lie in the place of which tracks, and how far their middles are apart."""
+    of_box, of_track, apart_m = [np.int64(0)], [np.int64(0)], [0.0]
+    for m in boxes:
+        for n in tracks:
+            alike = is_person[m] == person[n]
+            if alike and is_same(rows[m], places[n]):
+                of_box.append(m)
+                of_track.append(n)
+                apart_m.append(np.hypot(rows[m, 0] - places[n, 0], rows[m, 1] - places[n, 1]))
+    return np.array(of_box[1:]), np.array(of_track[1:]), np.array(apart_m[1:])
 
 
 def _reclaim(states: TrackStates, observed: Vehicles, pairs: Ints, time_ns: int) -> None:

@@ -90,7 +90,7 @@ class Tracker:
         observed = self._bounded(observed)
         std, seen = motion.deviations(observed, visible)
         self._predict(dt_s, signals or {})
-        jump_std = motion.JUMP_STD if self._lanes is not None else motion.JUMP_STD_OFF_MAP
+        jump_std = motion.jumps(dt_s, on_map=self._lanes is not None)
         gate, hits = self._config.gate, self._config.confirm_hits
         pairs, vague = pair(
             self._states,
@@ -298,7 +298,8 @@ class Tracker:
         self._next_id += len(new)
         if self._lanes is not None:
             sure = self._states.hits >= self._config.confirm_hits
-            place_on_lanes(result, self._states, sure, self._lanes, self._lanes.held(signals))
+            held = self._lanes.held(signals)
+            place_on_lanes(result, self._states, sure, self._lanes, self._trips, held)
         return result
 
     def _along_lane(self, boxes: Floats) -> Bools:

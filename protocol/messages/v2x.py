@@ -211,7 +211,8 @@ class BorderObjects(Message):
 
     Boxes are as in `Detections`, before the owners of the lanes are known; `position_std_m` is as
     in `AgentPose`, 0 for boxes of LiDARs. `sensors` are the places of the sensors whose data were
-    used, in m in the map frame: what is near none of them is unknown, not empty.
+    used, in m in the map frame: what is near none of them is unknown, not empty. Those whose data
+    are of their own part of the scene alone are not among them.
 
     `tracks` are those in the strips after the edge's last frame, `track_sim_time_ns`, so that a
     vehicle keeps its track's id from region to region.

@@ -113,6 +113,8 @@ def test_chunk_by_chunk_more_is_known_and_at_last_all() -> None:
     assert known_m[0] < known_m[1] < known_m[2]
     assert known_m[1] == pytest.approx(20)
     assert cells(frame_of(*came)) == {}
+    for many in (5, 64):  # of a plug-in's policy: the fourth is the whole rest
+        assert cells(frame_of(*(chunk("a", index, many) for index in range(4)))) == {}
     lost = [replace(came[0], is_undecodable=True), *came[1:]]
     assert len(cells(frame_of(*lost))["a"]) == 0
 

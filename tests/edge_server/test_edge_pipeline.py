@@ -366,3 +366,17 @@ def test_unless_said_otherwise_a_scenario_has_lidars(road_map: RoadMap) -> None:
         frame_of_poses(0)
     )
     assert state.counts["j"].coverage_upstream == {"in_0": 0.0, "in_1": 0.0, "side_0": 0.0}
+
+
+def test_of_an_agent_that_sends_its_own_part_no_other_is_covered(road_map: RoadMap) -> None:
+    """The agent stands at the stop bars, and its part is what lies behind them."""
+    points = np.zeros((0, 3), np.float32)
+    chunk = Chunk(0, 0, "rsu-0", 0, 1, np.array([0, 0, 5.0, 0, 0, 0]), points, 0, plan_frame=0)
+    config = EdgeConfig(coverage_range_m=500)
+    behind = np.array([(0.0, -600.0), (600.0, -600.0), (600.0, 600.0), (0.0, 600.0)])
+    whole = Frame(0, 0, ["rsu-0"], [], [chunk], complete=True, first_ns=0, ready_ns=0)
+    shares = []
+    for cells in ({}, {"rsu-0": behind}):
+        counts = pipeline_of(road_map, config, seed=1).run(replace(whole, cells=cells)).counts["j"]
+        shares.append((counts.coverage_from_bar["in_0"], counts.coverage_downstream["out_0"]))
+    assert shares == [(1.0, 1.0), (0.0, pytest.approx(0.95, abs=0.03))]

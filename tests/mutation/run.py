@@ -66,7 +66,11 @@ PARTS = {
     "fusion": Part(["edge_server/fusion.py"], ["tests/edge_server/test_fusion.py"]),
     "lanes": Part(
         ["edge_server/lanes.py"],
-        ["tests/edge_server/test_lane_counts.py", "tests/edge_server/test_lane_coverage.py"],
+        ["tests/edge_server/test_lane_counts.py"],
+    ),
+    "coverage": Part(
+        ["edge_server/coverage.py"],
+        ["tests/edge_server/test_lane_coverage.py", "tests/edge_server/test_cell_borders.py"],
     ),
     "misbehaviour": Part(
         ["edge_server/misbehaviour.py"], ["tests/edge_server/test_misbehaviour.py"]
@@ -74,7 +78,7 @@ PARTS = {
     "tracker": Part(
         [
             f"perception/tracking/{name}.py"
-            for name in ("tracker", "association", "birth", "existence", "pairing", "places")
+            for name in ("tracker", "association", "life_cycle", "motion", "pairing", "places")
         ],
         ["tests/perception/test_tracking.py"],
     ),

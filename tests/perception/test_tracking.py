@@ -184,7 +184,7 @@ def test_however_dear_all_pairs_are_none_outside_the_gates_is_chosen() -> None:
     boxes = np.column_stack([cars((-100, 0), (150, 0)).boxes, np.zeros((2, 2))])
     traits = np.tile([4.5, 0.0, 0.9, 1.0, 1.0], (2, 1))
     std = np.full((2, 3), 0.3)
-    found, _ = associate(mean, covariance, traits, boxes, std, np.array([1.5, 1.3]), 9.0)
+    found, _ = associate(mean, covariance, traits, boxes, std, np.array([(1.5, 1.3)]), 9.0)
     assert found[0] != 1  # 400 m away, where the gate is 180 m
 
 
@@ -829,12 +829,13 @@ def test_nobody_changes_to_an_oncoming_lane() -> None:
     }
 
 
-def test_a_false_box_that_was_turned_otherwise_is_not_the_next_vehicle() -> None:
+@pytest.mark.parametrize("aside_m", [0.0, 3.0])
+def test_a_false_box_that_was_turned_otherwise_is_not_the_next_vehicle(aside_m: float) -> None:
     tracker = Tracker(CONFIG, STRAIGHT)
-    tracker.step(0, cars((50, 3, 1.5)), NOBODY)
+    tracker.step(0, cars((50, aside_m, 1.5)), NOBODY)
     for k in range(5, 15):
         tracks = tracker.step(k * DT, cars((50 + 1.5 * (k - 5), 0)), NOBODY)
-        vehicle = tracks.take(np.abs(tracks.boxes[:, 1]) < 1)
+        vehicle = tracks.take(tracks.coasted_s == 0)
         assert vehicle.track_ids.tolist() == [2]
         assert vehicle.speeds_mps[0] == pytest.approx(15, abs=3)
 
@@ -843,7 +844,7 @@ def test_a_part_of_a_vehicle_is_not_a_new_one_and_says_little_of_where_that_is()
     tracker = Tracker(CONFIG, STRAIGHT)
     for k in range(40):
         tracker.step(k * DT, cars((10 + k, 0), (15 + k, 0)), NOBODY)
-    ahead, part = (55, 0, 0.75, 4.5, 1.8, 1.5, 0), (51.2, 0.6, 0.75, 0.8, 0.8, 1.5, 0)
+    ahead, part = (55, 0, 0.75, 4.5, 1.8, 1.5, 0), (51.6, 0.9, 0.75, 1.0, 1.0, 1.5, 0)
     found = Vehicles.from_lidar(np.array([ahead, part]), np.full(2, 0.9))
     tracks = tracker.step(40 * DT, found, NOBODY)
     assert tracks.track_ids.tolist() == [1, 2]
@@ -869,3 +870,15 @@ def test_a_hidden_queue_starts_as_drivers_do() -> None:
     for k in range(20, 50):
         tracks = tracker.step(k * DT, cars(), seen_from(60.0), {"J": "G"})
     assert tracks.speeds_mps[0] == pytest.approx(6.0, abs=1.0)
+
+
+def test_who_changes_lane_is_not_moved_along_too() -> None:
+    """A vehicle is hidden as another one comes into view beside and behind it, in the next lane."""
+    lanes = road(lane("a", (0, 0), (400, 0)), lane("b", (0, 3.5), (400, 3.5)))
+    tracker = Tracker(CONFIG, lanes)
+    follow(tracker, 10.0, 40)
+    for k in range(40, 50):
+        tracks = tracker.step(k * DT, cars((k - 2.5, 3.5)), seen_from(40.0))
+    assert sorted(tracks.track_ids.tolist()) == [1, 2]
+    aside = tracker.step(50 * DT, cars((47.5, 3.5), (50, -3.5)), seen_from(40.0))
+    assert sorted(aside.track_ids.tolist()) == [1, 2]  # it comes back a lane farther to the right
