@@ -107,13 +107,16 @@ class _Side:
         order = np.lexsort((left_m, owner))
         self._names = names
         self._places_m = np.ascontiguousarray(places_m[order])
-        self._ends = np.cumsum(np.bincount(owner, minlength=len(names)))[:-1]
+        numbers = np.bincount(owner, minlength=len(names))
+        self._ends = np.cumsum(numbers)
+        self._begins = self._ends - numbers
 
     def shares(self, sensors: SensorViews, range_m: float) -> tuple[CoverageShares, CoverageShares]:
         """Returns the shares of each lane: in all, and up to its first gap."""
         in_all, unbroken = {}, {}
         seen = sensors.within(self._places_m, range_m)
-        for name, part in zip(self._names, np.split(seen, self._ends), strict=True):
+        for name, begin, end in zip(self._names, self._begins, self._ends, strict=True):
+            part = seen[begin:end]
             if len(part):
                 in_all[name] = round(float(part.mean()), 3)
                 first_gap = len(part) if part.all() else int(part.argmin())

@@ -32,6 +32,15 @@ def test_a_sensor_at_the_stop_bar_sees_as_far_as_it_is_trusted(sight):
     assert found.from_bar == found.upstream
 
 
+def test_where_no_lane_leads_to_a_signal_none_has_a_share():
+    ground = one_junction(
+        name="open", centre=(0, 0, 0), lanes=[lane("a", [(0, 0, 0), (9, 0, 0)])],
+        signal=signal("j"), junction=[],
+    )  # fmt: skip
+    seen = LaneCoverage(ground, around(ground), upstream_m=100, downstream_m=100)
+    assert seen.shares(at((0, 0)), 50.0) == Covered({}, {}, {})
+
+
 def test_nobody_sees_nothing(sight):
     assert sight.shares(at(), 50.0) == Covered({"in": 0.0}, {"out": 0.0}, {"in": 0.0})
 
