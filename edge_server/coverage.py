@@ -107,21 +107,24 @@ class _Side:
         order = np.lexsort((left_m, owner))
         self._names = names
         self._places_m = np.ascontiguousarray(places_m[order])
-        numbers = np.bincount(owner, minlength=len(names))
-        self._ends = np.cumsum(numbers)
-        self._begins = self._ends - numbers
+        self._owner = owner[order]
+        self._total = np.bincount(owner, minlength=len(names))
+        begins = np.cumsum(self._total) - self._total
+        self._rank = np.arange(len(owner)) - begins[self._owner]
 
     def shares(self, sensors: SensorViews, range_m: float) -> tuple[CoverageShares, CoverageShares]:
         """Returns the shares of each lane: in all, and up to its first gap."""
-        in_all, unbroken = {}, {}
         seen = sensors.within(self._places_m, range_m)
-        for name, begin, end in zip(self._names, self._begins, self._ends, strict=True):
-            part = seen[begin:end]
-            if len(part):
-                in_all[name] = round(float(part.mean()), 3)
-                first_gap = len(part) if part.all() else int(part.argmin())
-                unbroken[name] = round(first_gap / len(part), 3)
-        return in_all, unbroken
+        number, first_gap = np.bincount(self._owner[seen], minlength=len(self._names)), self._total
+        if not seen.all():
+            first_gap = first_gap.copy()
+            np.minimum.at(first_gap, self._owner[~seen], self._rank[~seen])
+        return self._by_lane(number), self._by_lane(first_gap)
+
+    def _by_lane(self, numbers: Ints) -> CoverageShares:
+        """Returns the share that so many places (L,) are of each lane's, of lanes that have any."""
+        rows = zip(self._names, numbers.tolist(), self._total.tolist(), strict=True)
+        return {name: round(number / total, 3) for name, number, total in rows if total}
 
 
 @njit("boolean(float64, float64, float64[:,::1], int64)", cache=True, nogil=True)

@@ -2,7 +2,7 @@
 
 Figures of one run
 - `ecvpr`: matching of detections with vehicles, E-CVPR and its upper bounds
-- `count_error`: lane counts against the truth
+- `count_error`: lane counts against the truth; `frame_rows`: rows frame by frame, empty ones too
 - `latency`, `uplink`: the latency breakdown; bytes and rates of agents
 - `summary`: all figures of a run, as JSON and as tables on a terminal
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 import heapq
 import json
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import groupby
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -27,7 +25,7 @@ from recording.run import Run
 from recording.tables import DetectionRow, SightingRow, TruthRow
 from sensing.config import Mount
 from sensing.pose import mount_place
-from studies.frame_rows import perceived_by_frame
+from studies.frame_rows import FrameRows, perceived_by_frame
 
 UPSTREAM_M = 200.0
 DOWNSTREAM_M = 100.0
@@ -153,8 +151,7 @@ class PerceptionBounds:
     """
 
     def __init__(self, run: Run) -> None:
-        self._sightings = _by_frame(run.rows(SightingRow))
-        self._next = next(self._sightings, None)
+        self._sightings = FrameRows(run.rows(SightingRow))
         scenario = run.scenario
         mounts = [Mount.model_validate(one) for one in scenario.get("roadside_mounts", [])]
         places = [mount_place(mount, run.setup.road_map) for mount in mounts]
@@ -165,10 +162,8 @@ class PerceptionBounds:
     def visible(self, frame: int, vehicles: list[TruthRow]) -> set[str]:
         """Returns the vehicles with `VISIBLE_POINTS` or more on them; frames must not decrease."""
         points: Counter[str] = Counter()
-        while self._next is not None and self._next[0] <= frame:
-            if self._next[0] == frame:
-                points = self._next[1]
-            self._next = next(self._sightings, None)
+        for row in self._sightings.of(frame):
+            points.update(json.loads(row.points))
         seen = {vehicle for vehicle, n in points.items() if n >= VISIBLE_POINTS}
         return seen | _reporting(vehicles)
 
@@ -195,15 +190,6 @@ def _within(places: Floats, sensors: Floats, range_m: float) -> np.ndarray:
 def _range_m(scenario: dict[str, Any], kind: str) -> float:
     lidar: dict[str, Any] = scenario.get("lidar", {})
     return float(lidar.get(kind, {}).get("range", 0.0))
-
-
-def _by_frame(rows: Iterator[SightingRow]) -> Iterator[tuple[int, Counter[str]]]:
-    """Yields frames with the points on each vehicle, of all agents together."""
-    for frame, group in groupby(rows, key=attrgetter("frame")):
-        points: Counter[str] = Counter()
-        for row in group:
-            points.update(json.loads(row.points))
-        yield frame, points
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,14 +103,13 @@ def _keep(
     cache=True,
 )
 def _at_place(
-    boxes: Ints, tracks: Ints, rows: Floats, places: Floats, is_person: Bools, person: Bools
+    boxes: Ints, tracks: Ints, rows: Floats, places: Floats, people: Bools, person: Bools
 ) -> tuple[Ints, Ints, Floats]:
     """Returns which boxes lie in the place of which tracks, and how far their middles are apart."""
     of_box, of_track, apart_m = [np.int64(0)], [np.int64(0)], [0.0]
     for m in boxes:
         for n in tracks:
-            alike = is_person[m] == person[n]
-            if alike and is_same(rows[m], places[n]):
+            if people[m] == person[n] and is_same(rows[m], places[n]):
                 of_box.append(m)
                 of_track.append(n)
                 apart_m.append(np.hypot(rows[m, 0] - places[n, 0], rows[m, 1] - places[n, 1]))
