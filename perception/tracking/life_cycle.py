@@ -17,7 +17,7 @@ from perception.tracking.association import PERSON
 from perception.tracking.config import TrackingConfig
 from perception.tracking.lane_following import BAR_M
 from perception.tracking.lane_graph import LaneGraph, likeliest
-from perception.tracking.places import overlapping
+from perception.tracking.places import apart_of_same, nearest, overlapping
 from perception.tracking.sightlines import SightLines
 from perception.tracking.states import CLASSES, TrackStates
 
@@ -31,6 +31,7 @@ FIRST_EXISTENCE = 0.6
 MOST_EXISTENCE = 0.99
 HIT_ODDS = 4.0  # of a detection of a vehicle to one of nothing
 UNSURE_LIFE_S = 0.5  # of a track that is not confirmed
+AGAIN_S = 0.3  # no longer ago a box in a new track's place was of its vehicle
 SURE_HITS = 5  # a track of so many detections is no mistake ...
 SURE_S = 0.65  # ... and if the last one was so lately, no double of another
 HALF_CAR_M = 2.5  # a position is known where its error is less
@@ -75,6 +76,26 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
         seen=np.ones(count, np.bool_),
         owner=np.array(new.sources, object),
     )
+
+
+def begin_again(
+    time_ns: int, born: TrackStates, known: TrackStates, confirm_hits: int
+) -> TrackStates:
+    """Gives new tracks the ids of those seen once, just before, that they lie upon.
+
+    Far away the first box of a vehicle may show a part of it, or lie across the road, so that the
+    second one is not its own. Returns what else was known.
+    """
+    lately = (time_ns - known.last_ns) / 1e9 <= AGAIN_S
+    once = np.flatnonzero(~known.seen & (known.hits < confirm_hits) & lately)
+    apart_m = apart_of_same(born.boxes, known.boxes[once])
+    person = [states.votes.argmax(axis=1) == PERSON for states in (born, known.take(once))]
+    apart_m[person[0][:, None] != person[1][None]] = np.inf
+    found = nearest(apart_m, np.inf)
+    again, replaced = found >= 0, once[found[found >= 0]]
+    born.ids[again] = known.ids[replaced]
+    born.first_ns[again] = known.first_ns[replaced]
+    return known.take(np.isin(known.ids, born.ids, invert=True))
 
 
 def _whole_boxes(new: Vehicles) -> Floats:

@@ -105,11 +105,14 @@ def _keep(
 def _at_place(
     boxes: Ints, tracks: Ints, rows: Floats, places: Floats, people: Bools, person: Bools
 ) -> tuple[Ints, Ints, Floats]:
-    """Returns which boxes lie in the place of which tracks, and how far their middles are apart."""
+    """Returns which boxes lie in the place of which tracks, and how far their middles are apart.
+
+    A part of a vehicle may be as small as a person; where a person is, there is no vehicle.
+    """
     of_box, of_track, apart_m = [np.int64(0)], [np.int64(0)], [0.0]
     for m in boxes:
         for n in tracks:
-            if people[m] == person[n] and is_same(rows[m], places[n]):
+            if (people[m] or not person[n]) and is_same(rows[m], places[n]):
                 of_box.append(m)
                 of_track.append(n)
                 apart_m.append(np.hypot(rows[m, 0] - places[n, 0], rows[m, 1] - places[n, 1]))

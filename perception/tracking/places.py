@@ -37,6 +37,22 @@ def overlapping(boxes: Floats, others: Floats) -> Bools:
     return result
 
 
+@njit("float64[:,::1](float64[:,:], float64[:,:])", cache=True)
+def apart_of_same(boxes: Floats, others: Floats) -> Floats:
+    """Returns how far apart boxes (N, 7) and others (M, 7) are, from above (N, M).
+
+    Infinite where neither lies in the place of the other, so that they are of two vehicles.
+    """
+    result = np.full((boxes.shape[0], others.shape[0]), np.inf)
+    for n in range(boxes.shape[0]):
+        for m in range(others.shape[0]):
+            if abs(boxes[n, 0] - others[m, 0]) >= LONGEST_VEHICLE_M:
+                continue
+            if is_same(boxes[n], others[m]) or is_same(others[m], boxes[n]):
+                result[n, m] = np.hypot(boxes[n, 0] - others[m, 0], boxes[n, 1] - others[m, 1])
+    return result
+
+
 @njit("boolean[::1](float64[:,:])", cache=True)
 def first_of_each(boxes: Floats) -> Bools:
     """Marks the boxes (N, 7) that lie where none before them does that is marked."""

@@ -15,6 +15,7 @@ from perception.tracking.lane_following import CRUISE_STD_MPS, cruise, follow_la
 from perception.tracking.lane_graph import LaneGraph
 from perception.tracking.life_cycle import (
     SURE_HITS,
+    begin_again,
     born,
     lower_existence,
     place_on_lanes,
@@ -111,7 +112,7 @@ class Tracker:
         self._locate(dt_s)
         if new.any():
             born = self._born(time_ns, observed.take(new), std[new], signals or {})
-            self._states = self._states + born
+            self._states = begin_again(time_ns, born, self._states, hits) + born
         self._last = self._published(time_ns)
         return self._last
 

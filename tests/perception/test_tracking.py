@@ -882,3 +882,33 @@ def test_who_changes_lane_is_not_moved_along_too() -> None:
     assert sorted(tracks.track_ids.tolist()) == [1, 2]
     aside = tracker.step(50 * DT, cars((47.5, 3.5), (50, -3.5)), seen_from(40.0))
     assert sorted(aside.track_ids.tolist()) == [1, 2]  # it comes back a lane farther to the right
+
+
+def test_a_vehicle_whose_first_box_lay_across_the_road_begins_again_under_its_id() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    first = tracker.step(0, cars((51, 0.5, 1.57)), NOBODY)
+    for k in range(1, 10):
+        tracks = tracker.step(k * DT, cars((50 + 1.4 * k, 0)), NOBODY)
+        assert tracks.track_ids.tolist() == first.track_ids.tolist()
+    assert tracks.boxes[0, 6] == pytest.approx(0, abs=0.1)
+    assert tracks.first_seen_ns.tolist() == [0]
+
+
+def test_a_bicycle_keeps_its_heading_however_its_boxes_are_turned() -> None:
+    rng = np.random.default_rng(1)
+    tracker = Tracker(CONFIG)
+    for k in range(40):
+        turned = 0.0 if k < 20 else rng.uniform(-0.6, 0.6)
+        box = np.array([[50 + 0.5 * k, 0, 0.9, 1.8, 0.65, 1.75, turned]])
+        tracks = tracker.step(k * DT, Vehicles.from_lidar(box, np.ones(1)), NOBODY)
+        assert abs(tracks.boxes[0, 6]) < 0.2
+    assert tracks.speeds_mps[0] == pytest.approx(5.0, abs=0.5)
+
+
+def test_what_is_as_small_as_a_person_where_a_vehicle_was_is_a_part_of_it() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    follow(tracker, 5.0, 20)  # 10 m on
+    part = np.array([[11.2, 0.3, 0.85, 0.5, 0.6, 1.7, 0.0]])
+    tracks = tracker.step(20 * DT, Vehicles.from_lidar(part, np.ones(1)), NOBODY)
+    assert tracks.track_ids.tolist() == [1]
+    assert tracks.boxes[0, 0] == pytest.approx(10, abs=0.5)
