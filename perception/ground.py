@@ -4,8 +4,9 @@ The paper fits planes to the whole cloud. A road climbs metres over an approach 
 everywhere, so that its far ends lie off any one plane. Here planes are fitted tile by tile, to
 heights over the road map: a plane must be nearly parallel to the mapped road and near it, and the
 mapped road itself is the first hypothesis. Near a sensor a car's side holds more points than the
-ground around it; so each square metre has one vote, its lowest point. `tile_m=None` fits the whole
-cloud, every point alike, without the map.
+ground around it; so each square metre has one vote, its lowest point. Far away a tile may hold no
+more than a piece of one ring on the road: where no plane is found, what lies on the mapped road
+goes. `tile_m=None` fits the whole cloud, every point alike, without the map.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from perception.votes import BLOCK, VOTE_CELL_M, lowest, span, squares, squares_
 SAMPLE = 4096  # of the whole cloud, on every n-th point
 WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall
 LEAST_INLIERS = 6
+LEAST_ON_ROAD = 2  # where no plane is found, so few votes show that the road is as mapped
 LEAST_SHARE = 0.2  # of the sample: a plane with less support need not be found
 CONFIDENCE = 0.99
 _PART = "Tuple((float32[:,::1], float32[::1], float32[::1]))"
@@ -49,7 +51,8 @@ def remove_ground(
     slope_deg, offset_m = config.max_slope_deg, config.max_offset_m
     if not by_tiles:
         slope_deg, offset_m = WALL_DEG, np.inf
-    limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m])
+    least = LEAST_ON_ROAD if by_tiles else LEAST_INLIERS
+    limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m, least])
     left = [_Left.of(part) for part in parts]
     area = squares(_around([part.lowest for part in parts]), VOTE_CELL_M)
     for _ in range(config.runs):
@@ -58,8 +61,8 @@ def remove_ground(
         votes = _by_area(left, area) if by_tiles else _by_point(left)
         tiles = squares(span(votes), config.tile_m or np.inf)
         work = np.array([config.max_iterations, rng.integers(2**62)])
-        planes = _fit_all(*_by_tile(votes, tiles), limits, work)
-        layers = _layers(planes, config.distance_m, bottomless=by_tiles)
+        planes, is_found = _fit_all(*_by_tile(votes, tiles), limits, work)
+        layers = _layers(planes, config.distance_m, bottomless=is_found & by_tiles)
         left = each(partial(_without, tiles=tiles, layers=layers, over_road=by_tiles), left)
     points = np.concatenate([np.zeros((0, 3), np.float32), *(part.points for part in left)])
     ground_m = np.concatenate([np.zeros(0, np.float32), *(part.floor_m() for part in left)])
@@ -123,14 +126,14 @@ def _without(part: _Left, tiles: Floats, layers: Floats32, *, over_road: bool) -
     return _Left(*(array[:count] for array in kept))
 
 
-def _layers(planes: Floats, distance_m: float, *, bottomless: bool) -> Floats32:
+def _layers(planes: Floats, distance_m: float, *, bottomless: Bools) -> Floats32:
     """Returns the ground's layer by tile, from planes (T, 3).
 
     Each is (T, 5): the plane, and the heights over it, straight up, between which points go; none
-    where there is no plane.
+    where there is no plane. Below those that are `bottomless` (T,) all go.
     """
     reach_m = distance_m * np.sqrt(1.0 + planes[:, :1] ** 2 + planes[:, 1:2] ** 2)
-    low_m = np.full_like(reach_m, -np.inf) if bottomless else -reach_m
+    low_m = np.where(bottomless[:, None], -np.inf, -reach_m)
     layers = np.column_stack([planes, low_m, reach_m]).astype(np.float32)
     layers[np.isnan(planes[:, 0])] = [np.nan, np.nan, np.nan, np.inf, -np.inf]
     return layers
@@ -207,7 +210,7 @@ def _ransac(
     sample: Floats32, limits: Floats, max_iterations: int, state: Ints
 ) -> tuple[float, float, float, int]:
     """Finds the level plane with most support in a sample (3, K) around its own middle."""
-    distance_m, max_slope, max_offset_m = limits
+    distance_m, max_slope, max_offset_m, _ = limits
     size = sample.shape[1]
     best_a, best_b, best_c = 0.0, 0.0, 0.0
     best = _support(sample, best_a, best_b, best_c, distance_m)
@@ -251,19 +254,27 @@ def _by_tile(votes: Floats32, tiles: Floats) -> tuple[Floats32, Ints]:
 
 
 @njit(
-    "float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True, nogil=True
+    "Tuple((float64[:,::1], boolean[::1]))(float32[:,::1], int64[::1], float64[::1], int64[::1])",
+    cache=True,
+    nogil=True,
 )
-def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Floats:
-    """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none.
+def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> tuple[Floats, Bools]:
+    """Returns each tile's plane, height over base = a x + b y + c, as (T, 3), and which were found.
 
-    Votes are points (V, 3): x, y and height over the base.
+    Votes are points (V, 3): x, y and height over the base. Where none was found it is the base, if
+    some votes lie on it, or else NaN.
     """
     max_iterations, seed = work
     tiles = starts.size - 1
-    planes = np.full((tiles, 3), np.nan)
+    planes, is_found = np.full((tiles, 3), np.nan), np.zeros(tiles, np.bool_)
     state = np.zeros(1, np.uint64)
     for tile in range(tiles):
         first, size = starts[tile], starts[tile + 1] - starts[tile]
+        on_road = 0
+        for vote in range(first, first + size):
+            on_road += abs(votes[vote, 2]) <= limits[0]
+        if on_road >= limits[3]:
+            planes[tile] = 0.0
         if size < LEAST_INLIERS:
             continue
         x, y = 0.0, 0.0
@@ -279,7 +290,8 @@ def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Float
         if found >= LEAST_INLIERS:
             a, b, c, _ = _refine(sample, a, b, c, limits[0] * np.sqrt(1.0 + a * a + b * b))
             planes[tile, 0], planes[tile, 1], planes[tile, 2] = a, b, c - a * x - b * y
-    return planes
+            is_found[tile] = True
+    return planes, is_found
 
 
 @njit(

@@ -53,6 +53,24 @@ def test_a_wall_of_points_beside_a_sensor_does_not_tilt_the_ground() -> None:
     assert above[:, 2].min() > 1.0
 
 
+@pytest.mark.parametrize("mapped_m", [0.0, 1.0], ids=["as mapped", "mapped too high"])
+def test_far_away_a_piece_of_a_ring_on_the_mapped_road_goes_and_a_vehicle_stays(
+    mapped_m: float,
+) -> None:
+    """One ring crosses the road beside a vehicle's front; where the map is wrong, all stays."""
+    across_m = np.arange(3.0, 9.0, 0.4)
+    ring = np.column_stack([np.full(15, 93.0), across_m, np.full(15, 0.05)])
+    front = np.array([(93.5, y, z) for y in (3.5, 4.0, 4.5, 5.0) for z in (0.3, 0.6, 1.3)])
+    points = np.concatenate([ring, front]).astype(np.float32)
+    road_m = np.full(len(points), mapped_m, np.float32)
+    above, ground_m, _ = remove_ground(
+        [Placed.of(points, road_m)], config=GroundConfig(), rng=np.random.default_rng(1)
+    )
+    left = points if mapped_m else front.astype(np.float32)
+    np.testing.assert_array_equal(above, left)
+    assert ground_m.tolist() == [mapped_m] * len(left)
+
+
 def test_global_planes_serve_a_level_road(ground: Callable[..., Any]) -> None:
     points = ground(np.random.default_rng(3))
     config = GroundConfig(tile_m=None)
