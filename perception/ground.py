@@ -27,7 +27,6 @@ from perception.votes import BLOCK, VOTE_CELL_M, lowest, span, squares, squares_
 SAMPLE = 4096  # of the whole cloud, on every n-th point
 WALL_DEG = 20.0  # a plane through the whole cloud that is steeper than this is a wall
 LEAST_INLIERS = 6
-LEAST_ON_ROAD = 2  # where no plane is found, so few votes show that the road is as mapped
 LEAST_SHARE = 0.2  # of the sample: a plane with less support need not be found
 CONFIDENCE = 0.99
 _PART = "Tuple((float32[:,::1], float32[::1], float32[::1]))"
@@ -51,8 +50,7 @@ def remove_ground(
     slope_deg, offset_m = config.max_slope_deg, config.max_offset_m
     if not by_tiles:
         slope_deg, offset_m = WALL_DEG, np.inf
-    least = LEAST_ON_ROAD if by_tiles else LEAST_INLIERS
-    limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m, least])
+    limits = np.array([config.distance_m, np.tan(np.radians(slope_deg)), offset_m])
     left = [_Left.of(part) for part in parts]
     area = squares(_around([part.lowest for part in parts]), VOTE_CELL_M)
     for _ in range(config.runs):
@@ -61,9 +59,11 @@ def remove_ground(
         votes = _by_area(left, area) if by_tiles else _by_point(left)
         tiles = squares(span(votes), config.tile_m or np.inf)
         work = np.array([config.max_iterations, rng.integers(2**62)])
-        planes, is_found = _fit_all(*_by_tile(votes, tiles), limits, work)
-        layers = _layers(planes, config.distance_m, bottomless=is_found & by_tiles)
+        planes = _fit_all(*_by_tile(votes, tiles), limits, work)
+        layers = _layers(planes, config.distance_m, bottomless=by_tiles)
         left = each(partial(_without, tiles=tiles, layers=layers, over_road=by_tiles), left)
+    if by_tiles and config.runs:
+        left = [part.off_road(config.distance_m) for part in left]
     points = np.concatenate([np.zeros((0, 3), np.float32), *(part.points for part in left)])
     ground_m = np.concatenate([np.zeros(0, np.float32), *(part.floor_m() for part in left)])
     return points, ground_m, np.array([len(part.points) for part in left], np.int64)
@@ -89,6 +89,12 @@ class _Left:
     def votes(self, area: Floats) -> Floats32:
         """Returns the lowest points, of an area's grid where they are not known."""
         return lowest(self.points, self.road_m, area) if self.lowest is None else self.lowest
+
+    def off_road(self, distance_m: float) -> _Left:
+        """Returns it without what lies on the mapped road where no plane was found."""
+        has_plane = ~np.isnan(self.ground_m) if len(self.ground_m) else np.False_
+        kept = has_plane | (np.abs(self.points[:, 2] - self.road_m) > distance_m)
+        return _Left(self.points[kept], self.road_m[kept], self.floor_m()[kept])
 
     def floor_m(self) -> Floats32:
         """Returns the height of the ground below each point, or else the road's (N,)."""
@@ -126,14 +132,14 @@ def _without(part: _Left, tiles: Floats, layers: Floats32, *, over_road: bool) -
     return _Left(*(array[:count] for array in kept))
 
 
-def _layers(planes: Floats, distance_m: float, *, bottomless: Bools) -> Floats32:
+def _layers(planes: Floats, distance_m: float, *, bottomless: bool) -> Floats32:
     """Returns the ground's layer by tile, from planes (T, 3).
 
     Each is (T, 5): the plane, and the heights over it, straight up, between which points go; none
-    where there is no plane. Below those that are `bottomless` (T,) all go.
+    where there is no plane.
     """
     reach_m = distance_m * np.sqrt(1.0 + planes[:, :1] ** 2 + planes[:, 1:2] ** 2)
-    low_m = np.where(bottomless[:, None], -np.inf, -reach_m)
+    low_m = np.full_like(reach_m, -np.inf) if bottomless else -reach_m
     layers = np.column_stack([planes, low_m, reach_m]).astype(np.float32)
     layers[np.isnan(planes[:, 0])] = [np.nan, np.nan, np.nan, np.inf, -np.inf]
     return layers
@@ -210,7 +216,7 @@ def _ransac(
     sample: Floats32, limits: Floats, max_iterations: int, state: Ints
 ) -> tuple[float, float, float, int]:
     """Finds the level plane with most support in a sample (3, K) around its own middle."""
-    distance_m, max_slope, max_offset_m, _ = limits
+    distance_m, max_slope, max_offset_m = limits
     size = sample.shape[1]
     best_a, best_b, best_c = 0.0, 0.0, 0.0
     best = _support(sample, best_a, best_b, best_c, distance_m)
@@ -254,27 +260,19 @@ def _by_tile(votes: Floats32, tiles: Floats) -> tuple[Floats32, Ints]:
 
 
 @njit(
-    "Tuple((float64[:,::1], boolean[::1]))(float32[:,::1], int64[::1], float64[::1], int64[::1])",
-    cache=True,
-    nogil=True,
+    "float64[:,::1](float32[:,::1], int64[::1], float64[::1], int64[::1])", cache=True, nogil=True
 )
-def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> tuple[Floats, Bools]:
-    """Returns each tile's plane, height over base = a x + b y + c, as (T, 3), and which were found.
+def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> Floats:
+    """Returns each tile's plane, height over base = a x + b y + c, as (T, 3); NaN for none.
 
-    Votes are points (V, 3): x, y and height over the base. Where none was found it is the base, if
-    some votes lie on it, or else NaN.
+    Votes are points (V, 3): x, y and height over the base.
     """
     max_iterations, seed = work
     tiles = starts.size - 1
-    planes, is_found = np.full((tiles, 3), np.nan), np.zeros(tiles, np.bool_)
+    planes = np.full((tiles, 3), np.nan)
     state = np.zeros(1, np.uint64)
     for tile in range(tiles):
         first, size = starts[tile], starts[tile + 1] - starts[tile]
-        on_road = 0
-        for vote in range(first, first + size):
-            on_road += abs(votes[vote, 2]) <= limits[0]
-        if on_road >= limits[3]:
-            planes[tile] = 0.0
         if size < LEAST_INLIERS:
             continue
         x, y = 0.0, 0.0
@@ -290,8 +288,7 @@ def _fit_all(votes: Floats32, starts: Ints, limits: Floats, work: Ints) -> tuple
         if found >= LEAST_INLIERS:
             a, b, c, _ = _refine(sample, a, b, c, limits[0] * np.sqrt(1.0 + a * a + b * b))
             planes[tile, 0], planes[tile, 1], planes[tile, 2] = a, b, c - a * x - b * y
-            is_found[tile] = True
-    return planes, is_found
+    return planes
 
 
 @njit(

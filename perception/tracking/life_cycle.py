@@ -78,24 +78,21 @@ def born(time_ns: int, new: Vehicles, std: Floats, first_id: int) -> TrackStates
     )
 
 
-def begin_again(
-    time_ns: int, born: TrackStates, known: TrackStates, confirm_hits: int
-) -> TrackStates:
-    """Gives new tracks the ids of those seen once, just before, that they lie upon.
+def begin_again(time_ns: int, born: TrackStates, known: TrackStates) -> None:
+    """Exchanges the ids of new tracks and of those seen once, just before, that they lie upon.
 
     Far away the first box of a vehicle may show a part of it, or lie across the road, so that the
-    second one is not its own. Returns what else was known.
+    second one is not its own.
     """
     lately = (time_ns - known.last_ns) / 1e9 <= AGAIN_S
-    once = np.flatnonzero(~known.seen & (known.hits < confirm_hits) & lately)
+    once = np.flatnonzero(~known.seen & (known.hits == 1) & lately)
     apart_m = apart_of_same(born.boxes, known.boxes[once])
     person = [states.votes.argmax(axis=1) == PERSON for states in (born, known.take(once))]
     apart_m[person[0][:, None] != person[1][None]] = np.inf
     found = nearest(apart_m, np.inf)
-    again, replaced = found >= 0, once[found[found >= 0]]
-    born.ids[again] = known.ids[replaced]
-    born.first_ns[again] = known.first_ns[replaced]
-    return known.take(np.isin(known.ids, born.ids, invert=True))
+    again, before = np.flatnonzero(found >= 0), once[found[found >= 0]]
+    born.ids[again], known.ids[before] = known.ids[before], born.ids[again]
+    born.first_ns[again] = known.first_ns[before]
 
 
 def _whole_boxes(new: Vehicles) -> Floats:

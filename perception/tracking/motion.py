@@ -17,11 +17,10 @@ from numba import njit
 
 from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
-from perception.tracking.association import SMALL_M
 from perception.tracking.sightlines import SightLines
 
 BOX_STD = np.array([0.35, 0.2, 0.08])  # of a box near a sensor: along, across, heading
-SMALL_YAW_STD = 0.5  # the box of a bicycle may be turned anyhow
+SLENDER_M, SLENDER_YAW_STD = 1.1, 0.25  # the box of what is so narrow may be turned anyhow
 FAR_STD, FAR_M = 0.015, 40.0  # along, more for each metre beyond: only an end is seen
 NEAR_STD, NEAR_M = 1.5, 6.0  # along, nearer to a sensor, which sees over a part of the vehicle
 POSE_STD = np.array([0.1, 0.1, 0.02])  # of an agent's own pose, beside the deviation that it states
@@ -81,8 +80,8 @@ def _deviate(
     """Fills `std` and `seen` (N, 3), see `deviations`; `seen` is zero before."""
     for n in range(boxes.shape[0]):
         std[n] = POSE_STD if is_pose[n] else BOX_STD
-        if boxes[n, 3] <= SMALL_M and not is_pose[n]:
-            std[n, 2] = SMALL_YAW_STD
+        if boxes[n, 4] < SLENDER_M and not is_pose[n]:
+            std[n, 2] = SLENDER_YAW_STD
         seen[n, 2] = is_pose[n]
         range_m, ahead_m = np.inf, 0.0
         for sensor in range(sensors.shape[0]):

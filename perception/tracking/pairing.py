@@ -14,7 +14,7 @@ from perception.arrays import Bools, Floats, Ints
 from perception.detector import LIDAR, Vehicles
 from perception.tracking import motion
 from perception.tracking.association import associate, is_person
-from perception.tracking.places import is_same
+from perception.tracking.places import is_inside, is_same
 from perception.tracking.states import TrackStates
 
 POSE_JUMP_M = 25.0  # an agent that is farther from its track is somewhere else: a new track
@@ -107,12 +107,16 @@ def _at_place(
 ) -> tuple[Ints, Ints, Floats]:
     """Returns which boxes lie in the place of which tracks, and how far their middles are apart.
 
-    A part of a vehicle may be as small as a person; where a person is, there is no vehicle.
+    A part of a vehicle may be as small as a person, if it lies within that; a person has no parts.
     """
     of_box, of_track, apart_m = [np.int64(0)], [np.int64(0)], [0.0]
     for m in boxes:
         for n in tracks:
-            if (people[m] or not person[n]) and is_same(rows[m], places[n]):
+            if people[m] and not person[n]:
+                is_there = is_inside(rows[m], places[n])
+            else:
+                is_there = people[m] == person[n] and is_same(rows[m], places[n])
+            if is_there:
                 of_box.append(m)
                 of_track.append(n)
                 apart_m.append(np.hypot(rows[m, 0] - places[n, 0], rows[m, 1] - places[n, 1]))

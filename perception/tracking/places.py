@@ -25,6 +25,15 @@ def is_same(box: Floats, other: Floats) -> bool:
     return bool(abs(cos * x + sin * y) < reach_m and abs(cos * y - sin * x) < SAME_ACROSS_M)
 
 
+@njit("boolean(float64[:], float64[:])", cache=True)
+def is_inside(box: Floats, other: Floats) -> bool:
+    """Whether the middle of a box (7,) lies in another one, from above."""
+    x, y = box[0] - other[0], box[1] - other[1]
+    cos, sin = np.cos(other[6]), np.sin(other[6])
+    along_m, across_m = abs(cos * x + sin * y), abs(cos * y - sin * x)
+    return bool(along_m < other[3] / 2 and across_m < other[4] / 2)
+
+
 @njit("boolean[::1](float64[:,:], float64[:,:])", cache=True)
 def overlapping(boxes: Floats, others: Floats) -> Bools:
     """Whether each box (N, 7) lies where any of the others (M, 7) is."""

@@ -112,7 +112,8 @@ class Tracker:
         self._locate(dt_s)
         if new.any():
             born = self._born(time_ns, observed.take(new), std[new], signals or {})
-            self._states = begin_again(time_ns, born, self._states, hits) + born
+            begin_again(time_ns, born, self._states)
+            self._states = self._states + born
         self._last = self._published(time_ns)
         return self._last
 
@@ -249,7 +250,7 @@ class Tracker:
         states.last_ns[tracks] = time_ns
         states.score[tracks] = seen.scores
         states.existence[tracks] = raised_existence(states.existence[tracks])
-        states.votes[tracks, seen.classes] += seen.scores
+        states.votes[tracks[~vague], seen.classes[~vague]] += seen.scores[~vague]
         for n, source in zip(tracks.tolist(), seen.sources, strict=True):
             if source != LIDAR:
                 states.owner[n] = source

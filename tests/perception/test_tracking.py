@@ -894,6 +894,15 @@ def test_a_vehicle_whose_first_box_lay_across_the_road_begins_again_under_its_id
     assert tracks.first_seen_ns.tolist() == [0]
 
 
+def test_a_vehicle_whose_boxes_are_turned_in_turn_is_confirmed() -> None:
+    tracker = Tracker(CONFIG, STRAIGHT)
+    for k in range(12):
+        tracker.step(k * DT, cars((50 + 1.4 * k, 0, 1.57 * (k % 2))), NOBODY)
+    hidden = tracker.step(12 * DT, cars(), NOBODY)
+    assert hidden.coasted_s.tolist() == [pytest.approx(0.1)]
+    assert hidden.boxes[0, 6] == pytest.approx(0, abs=0.2)
+
+
 def test_a_bicycle_keeps_its_heading_however_its_boxes_are_turned() -> None:
     rng = np.random.default_rng(1)
     tracker = Tracker(CONFIG)
@@ -911,4 +920,8 @@ def test_what_is_as_small_as_a_person_where_a_vehicle_was_is_a_part_of_it() -> N
     part = np.array([[11.2, 0.3, 0.85, 0.5, 0.6, 1.7, 0.0]])
     tracks = tracker.step(20 * DT, Vehicles.from_lidar(part, np.ones(1)), NOBODY)
     assert tracks.track_ids.tolist() == [1]
+    assert tracks.classes.tolist() == [0]
     assert tracks.boxes[0, 0] == pytest.approx(10, abs=0.5)
+    part[0, 1] = 1.1
+    aside = tracker.step(21 * DT, Vehicles.from_lidar(part, np.ones(1)), NOBODY)
+    assert aside.track_ids[aside.coasted_s == 0].tolist() == [2]
