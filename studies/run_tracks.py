@@ -83,6 +83,8 @@ class RunTracks:
             ("  of all", percent(coasting.precision["all"])),
             ("E-CVPR of observed boxes", percent(coasting.ecvpr["observed"])),
             ("  of all", percent(coasting.ecvpr["all"])),
+            ("  bound: visible so far", percent(coasting.ecvpr["visible_so_far"])),
+            ("  bound: in range so far", percent(coasting.ecvpr["in_range_so_far"])),
             (f"hidden up to 5 s ({memory.hidden}), same id", percent(memory.recovered_share)),
             (f"coasted 3 s ({memory.coasted}), within 2 m", percent(memory.near_share)),
         )

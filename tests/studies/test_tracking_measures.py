@@ -177,7 +177,12 @@ def test_a_run_is_measured_whole_and_by_sight(tmp_path: Path) -> None:
         "coasted": pytest.approx(0.5),
     }
     assert found["precision"] == {"observed": 1.0, "coasted": 0.5, "all": 0.75}
-    assert found["ecvpr"] == {"observed": 0.5, "all": 0.75}
+    assert found["ecvpr"] == {
+        "observed": 0.5,
+        "all": 0.75,
+        "visible_so_far": 0.75,  # from the tenth of forty frames on
+        "in_range_so_far": 1.0,
+    }
     assert found["hidden"] == {"vehicles": 1, "recovered": 1.0}
     assert found["coasted_3s"] == {"boxes": 0, "within_2m": None}
 

@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 from recording.database import Database
-from recording.tables import DetectionRow, FrameRow, MetaRow, PhaseRow, TruthRow
+from recording.tables import DetectionRow, FrameRow, MetaRow, PhaseRow, SightingRow, TruthRow
+from studies.ecvpr import VISIBLE_POINTS
 from tests.studies.straight_runs import write_setup
 
 MS = 1_000_000
@@ -12,7 +13,10 @@ SIZE = (4.0, 2.0, 1.5)
 
 
 def make_run(run_dir: Path, *, track: int = 5, frames: int = 40) -> None:
-    """A car at 10 m/s towards the stop bar, seen all the time but for 20 frames of coasting."""
+    """A car at 10 m/s towards the stop bar, seen all the time but for 20 frames of coasting.
+
+    Enough points for a sighting lie on it in its tenth frame alone.
+    """
     write_setup(run_dir)
     database = Database(run_dir)
     scenario = {
@@ -21,6 +25,7 @@ def make_run(run_dir: Path, *, track: int = 5, frames: int = 40) -> None:
         "roadside_mounts": [{"id": "rsu", "x_m": 0, "y_m": 0}],
     }
     database.add(MetaRow, [("scenario", json.dumps(scenario))])
+    database.add(SightingRow, [SightingRow(10, "rsu", json.dumps({"a": VISIBLE_POINTS}))])
     for n in range(frames):
         x_m = -100.0 + n
         database.add(FrameRow, [FrameRow(n, n * 100 * MS, 1, 0, 0, 1, 9, 1, 1, 0, 0, 0)])

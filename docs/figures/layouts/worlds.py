@@ -76,6 +76,13 @@ _OF_TRACKS: tuple[tuple[str, float, int, Callable[[dict[str, Any]], float | None
     ("precision of all boxes, %", 100, 1, lambda row: row["precision"]["all"]),
     ("E-CVPR of observed boxes, %", 100, 1, lambda row: row["ecvpr"]["observed"]),
     ("E-CVPR of all boxes, %", 100, 1, lambda row: row["ecvpr"]["all"]),
+    ("its bound: vehicles visible so far, %", 100, 1, lambda row: row["ecvpr"]["visible_so_far"]),
+    (
+        "its bound: in a LiDAR's range so far, %",
+        100,
+        1,
+        lambda row: row["ecvpr"]["in_range_so_far"],
+    ),
     ("hidden up to 5 s, back under the same id, %", 100, 1, lambda row: row["hidden"]["recovered"]),
     ("coasted for 3 s, within 2 m, %", 100, 1, lambda row: row["coasted_3s"]["within_2m"]),
 )
